@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from shared.bounded import TOML_BYTES, read_text
-from shared.errors import UserError
+from shared.errors import ConfigError, UserError
 from shared.recording.writer import without_users
 from shared.runtime.config import VehicleFile, parse_vehicle, state_dir
 from shared.runtime.overlay import over, settings_folder, text_over, without_basis
@@ -178,8 +178,14 @@ def _replace(path: Path, text: str, *, dry_run: bool) -> int:
     Where the page has changed the settings of this unit, its text holds in the place of the file, and is written.
     """
     former = _text(path)
-    before, after = parse_vehicle(former, str(path)), checked(text, str(path))
-    changes = differences(before, after)
+    after = checked(text, str(path))
+    try:
+        before = parse_vehicle(former, str(path))
+        changes = differences(before, after)
+        names = touched(changes, after, before)
+    except ConfigError as error:  # what is replaced is invalid: that is what is mended
+        print(f"the present text cannot be compared: {error}")
+        changes, names = [], list(after.processes)
     if text == former:
         print("the file says that already; nothing is written")
         return 0
@@ -194,7 +200,6 @@ def _replace(path: Path, text: str, *, dry_run: bool) -> int:
         write(written, text if changed is None else over(text, _shipped_text(path)), written.stat().st_mode & 0o777)
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror}; is it yours, and is there room?") from error
-    names = touched(changes, after, before)
     print(f"wrote {written}; `obu config undo` takes it back")
     if names:
         print(f"start again, for it to hold: {', '.join(names)}")

@@ -49,7 +49,7 @@ class SettingsVersion(Message):
 
     number: Count  # 1: the newest
     replaced_ns: Nanoseconds
-    differing: Count
+    differing: Count | None = None  # not known of a text that cannot be read
 
 
 class SettingsStage(StrEnum):

@@ -5,11 +5,14 @@ then has another digest: the file holds, and the text is set aside.
 """
 
 import hashlib
+import logging
 import re
 from pathlib import Path
 
 from ..bounded import TOML_BYTES, SizeExceeded, read_text
 from .private import private_folder
+
+log = logging.getLogger(__name__)
 
 SETTINGS, FILE = "settings", "vehicle.toml"  # in the folder of root, or in the state folder
 _BASIS = re.compile(r"# Changed settings of a unit, over the vehicle's file of sha256 ([0-9a-f]{64})\.[^\n]*\n")
@@ -48,6 +51,9 @@ def text_over(shipped: str, state: Path) -> tuple[Path, str] | None:
     path = settings_folder(state) / FILE
     try:
         text = read_text(path, TOML_BYTES)
-    except (OSError, UnicodeDecodeError, SizeExceeded):
+    except FileNotFoundError:
+        return None
+    except (OSError, UnicodeDecodeError, SizeExceeded) as error:
+        log.warning("the changed settings in %s cannot be read, and the vehicle's file holds: %s", path, error)
         return None
     return (path, text) if basis_of(text) == digest_of(shipped) else None

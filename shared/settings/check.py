@@ -4,8 +4,9 @@ This needs the models of all processes, which take some 100 MB: a program of its
 """
 
 import json
+import re
 import sys
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from enum import StrEnum
 
 from pydantic import ValidationError
@@ -15,15 +16,18 @@ from ..messages.explanation import QUOTED_LENGTH, Explanation, QuotedText, expla
 from ..messages.settings import SettingDifference, SettingRow
 from ..recording.writer import without_users
 from ..runtime.config import VehicleFile, parse_vehicle
-from .catalogue import FACTS, Setting, catalogue, find, section_of, settings_of, values_of
+from .catalogue import FACTS, Setting, catalogue, find, section_of, value_of, values_of
 from .digests import digest_for
 from .edit import REMOVED, checked, differences, edited, touched
 from .question import Answer, Question
 
 MEANING, VALUE = 600, 4000  # characters of a message
 # With another name or role the unit is another one: its secrets, topics and processes follow from them. What names a
-# program to be run, or a folder to be served, gives more than the settings of a process.
-FIXED = (f"{FACTS}.name", f"{FACTS}.role", "sensors.power.power_off_command", "monitoring.status.static_dir")
+# program to be run, or a file or folder to be read, written or served, would give the page what processes may touch.
+FIXED = re.compile(rf"{FACTS}\.(name|role)|.*(^|[._])(command|file|files|folder|folders|dir)")
+OPENS_FILE = re.compile(r"(?i)\s*file:|[?&;]\w*file=")
+TOO_LONG = "(too long to be shown)"
+SHORT = 300  # characters of a difference
 
 
 class Code(StrEnum):
@@ -41,17 +45,22 @@ def answer(question: Question) -> Answer:
     """Judge a change; without one, describe the text that holds."""
     try:
         before = parse_vehicle(question.text, question.path)
-        if fixed := [name for name in question.changes if name in FIXED]:
+        if fixed := [name for name in question.changes if FIXED.fullmatch(name) or _is_long(before, name)]:
             return Answer(refusals=tuple(refusal(Code.FIXED, setting=name) for name in fixed))
         if question.replacement is None:
             changed, refusals = asked_values(question.changes, (FACTS, *before.processes))
+            refusals += tuple(refusal(Code.SECRET, setting=name) for name in changed if _holds_user(before, name))
             if refusals:
                 return Answer(refusals=refusals)
             text = edited(question.text, changed) if changed else question.text
         else:
             text = question.replacement
         after = checked(text, question.path)
-        changes = differences(before, after)
+        try:
+            changes = differences(before, after)
+            names = touched(changes, after, before)
+        except ConfigError:  # the text that holds is invalid: it cannot be compared, and is replaced
+            changes, names = [], list(after.processes)
     except ConfigError as error:
         return Answer(refusals=(refusal(Code.INVALID, error=error.cause),))
     except UserError as error:
@@ -62,10 +71,10 @@ def answer(question: Question) -> Answer:
     return Answer(
         text=text,
         differences=tuple(
-            SettingDifference(name=one.setting.name, before=shown(one.before), after=shown(one.after))
+            SettingDifference(name=one.setting.name, before=_short(one.before), after=_short(one.after))
             for one in changes
         ),
-        touched=tuple(touched(changes, after, before)),
+        touched=tuple(names),
         digests=digests(after),
         settings=tuple(rows(after)),
         counts=tuple(_count(after, text, question.path) for text in question.earlier),
@@ -89,8 +98,12 @@ def asked_values(
         except ValueError as error:
             refusals.append(refusal(Code.INVALID, error=f"{name}: {error}"))
             continue
-        if text is not None and shown(value) != _plainly(value):
+        if without_users(_plainly(value) if text is not None else "") != (_plainly(value) if text is not None else ""):
             refusals.append(refusal(Code.SECRET, setting=name))
+        elif any(isinstance(one, str) and OPENS_FILE.search(one) for one in _leaves(value)):
+            refusals.append(refusal(Code.FIXED, setting=name))
+        elif value is not None and any(one is None for one in _leaves(value)):
+            refusals.append(refusal(Code.INVALID, error=f"{name}: a list or table holds no null"))
         values[name] = REMOVED if value is None else value
     return values, tuple(refusals)
 
@@ -106,13 +119,50 @@ def digests(file: VehicleFile) -> dict[str, str]:
 
 
 def shown(value: object) -> str:
-    """Value as JSON, without users and passwords of addresses."""
-    return without_users(_plainly(value))[:VALUE]
+    """Value as JSON, without users and passwords of addresses; one that is too long is not shown."""
+    text = without_users(_plainly(value))
+    return text if len(text) <= VALUE else json.dumps(TOO_LONG)
 
 
 def refusal(code: Code, **texts: str) -> Explanation:
     """Explain with quoted texts."""
-    return explain(code, **{name: QuotedText(quoted=text[:QUOTED_LENGTH]) for name, text in texts.items()})
+    return explain(
+        code, **{name: QuotedText(quoted=without_users(text)[:QUOTED_LENGTH]) for name, text in texts.items()}
+    )
+
+
+def _short(value: object) -> str:
+    """Value of a difference: what it begins with, where it is long."""
+    text = shown(value)
+    return text if len(text) <= SHORT else json.dumps(f"{text[: SHORT - 20]} ...", ensure_ascii=False)[:VALUE]
+
+
+def _leaves(value: object) -> Iterator[object]:
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list):
+        for one in value:
+            yield from _leaves(one)
+    else:
+        yield value
+
+
+def _stored(file: VehicleFile, name: str) -> object:
+    """Value that holds of a setting; None where its section is invalid or the setting unknown."""
+    try:
+        return value_of(file, find(name))
+    except UserError:
+        return None
+
+
+def _holds_user(file: VehicleFile, name: str) -> bool:
+    """Whether a value holds a user or password, which its change from a page would lose."""
+    text = _plainly(_stored(file, name))
+    return without_users(text) != text
+
+
+def _is_long(file: VehicleFile, name: str) -> bool:
+    return len(_plainly(_stored(file, name))) > VALUE
 
 
 def _plainly(value: object) -> str:
@@ -126,11 +176,12 @@ def _row(setting: Setting, value: object) -> SettingRow:
     )  # fmt: skip
 
 
-def _count(file: VehicleFile, earlier: str, path: str) -> int:
+def _count(file: VehicleFile, earlier: str, path: str) -> int | None:
+    """Settings that an earlier text has otherwise; None where it cannot be read, as one of another release."""
     try:
         return len(differences(parse_vehicle(earlier, path), file))
-    except UserError:  # of another release: restoring it says what is wrong
-        return len(list(settings_of(FACTS)))
+    except UserError:
+        return None
 
 
 def main() -> None:

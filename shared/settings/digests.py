@@ -7,6 +7,9 @@ from ..processes import BY_NAME
 from ..runtime.config import Section, VehicleFile
 
 DIGITS = 16
+# Beginnings of the sections that a process reads beside its own: the page says whether all data are simulated, and
+# lists the recordings.
+READS = {"monitoring.status": ("sensors.", "monitoring.recorder")}
 WHOLE = ("monitoring.recorder",)  # writes the whole file into each recording
 
 
@@ -15,6 +18,8 @@ def digest_for(process: str, file: VehicleFile, section: Section) -> str:
     read: list[object] = [file.name, section.model_dump(mode="json")]
     if BY_NAME[process].observes_all:
         read.append(sorted(file.processes))
+    if others := READS.get(process):
+        read.append({name: table for name, table in sorted(file.tables.items()) if name.startswith(others)})
     if process in WHOLE:
         read.append(file.text)
-    return hashlib.sha256(json.dumps(read, sort_keys=True).encode()).hexdigest()[:DIGITS]
+    return hashlib.sha256(json.dumps(read, sort_keys=True, default=str).encode()).hexdigest()[:DIGITS]

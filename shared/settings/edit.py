@@ -12,6 +12,7 @@ from ..errors import UserError
 from ..runtime.config import VehicleFile, parse_vehicle
 from ..runtime.migration import table_at
 from .catalogue import FACTS, Setting, catalogue, uses_facts, validate, values_of
+from .digests import READS
 
 REMOVED = object()  # in the place of a value: the default holds
 
@@ -95,7 +96,11 @@ def differences(before: VehicleFile, after: VehicleFile) -> list[Difference]:
 def touched(changes: list[Difference], after: VehicleFile, before: VehicleFile) -> list[str]:
     """Processes for which the files differ: they take it up when they start again."""
     sections = {change.setting.section for change in changes}
-    names = [name for name in after.processes if name in sections or (FACTS in sections and uses_facts(name))]
+    names = [
+        name for name in after.processes
+        if name in sections or (FACTS in sections and uses_facts(name))
+        or any(section.startswith(READS.get(name, ())) for section in sections)
+    ]  # fmt: skip
     other = set(after.processes) ^ set(before.processes)  # begins or ends with its section
     return sorted({*names, *other}, key=[*after.processes, *before.processes].index)
 

@@ -2,6 +2,7 @@
 
 import os
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -44,7 +45,14 @@ class History:
         return sorted(made, key=lambda version: version.replaced, reverse=True)
 
     def keep(self, text: str) -> None:
-        """Keep a text that is about to be replaced, and drop the oldest beyond `KEPT`; raises `OSError`."""
+        """Keep a text that is about to be replaced, and drop the oldest beyond `KEPT`; raises `OSError`.
+
+        One that is the newest already is not kept again, so that tries that fail drop none.
+        """
+        newest = next(iter(self.versions()), None)
+        with suppress(UserError):
+            if newest is not None and newest.text() == text:
+                return
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         path = self._folder / f"{datetime.now(UTC).strftime(_STAMP)}.toml"
         write(path, text, 0o600)
@@ -57,6 +65,9 @@ def write(path: Path, text: str, mode: int) -> None:
     draft = path.with_name(f".{path.name}.new")
     draft.unlink(missing_ok=True)
     draft.touch(mode=mode)
+    if os.geteuid() == 0:  # root writes for whoever owns the file, or the folder of a new one
+        owner = (path if path.exists() else path.parent).stat()
+        os.chown(draft, owner.st_uid, owner.st_gid)
     with draft.open("w", encoding="utf-8") as file:
         file.write(text)
         file.flush()

@@ -27,4 +27,4 @@ class Answer(BaseModel):
     touched: tuple[str, ...] = ()
     digests: dict[str, str] = {}
     settings: tuple[SettingRow, ...] = ()
-    counts: tuple[Annotated[int, Field(ge=0)], ...] = ()  # of settings that earlier texts have otherwise
+    counts: tuple[Annotated[int, Field(ge=0)] | None, ...] = ()  # of settings that earlier texts have otherwise

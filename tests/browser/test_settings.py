@@ -114,6 +114,8 @@ def test_what_is_refused_says_why_and_only_what_differs_is_shown_on_request(
     )
     page.get_by_label("Only what differs from its default").uncheck()
     page.get_by_label("Find a setting").fill("core.fusion.gnss.delay_s")
+    page.get_by_label("gnss delay s", exact=True).fill("")
+    expect(page.get_by_label("gnss delay s", exact=True)).to_have_value("")
     page.get_by_label("gnss delay s", exact=True).fill("99")
     page.get_by_role("button", name="See what changes").click()
     eventually(lambda: commands(server))

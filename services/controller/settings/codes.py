@@ -14,6 +14,9 @@ class Code(StrEnum):
     CHECK_FAILED = "settings.check_failed"
     INTERRUPTED = "settings.interrupted"  # by the end of the process, before it was written
     EDITED = "settings.edited"  # the vehicle's file, by hand
+    MEANWHILE = "settings.meanwhile"  # another text was written
+    NOT_STARTED = "settings.not_started"
+    NOT_COMPARED = "settings.not_compared"
     ASKED = "settings.asked"  # to take it back
     UNCONFIRMED = "settings.unconfirmed"
     PROCESS_DOWN = "settings.process_down"

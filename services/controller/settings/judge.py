@@ -48,10 +48,12 @@ class Before:
         return cls(fresh, {one.process: one.restarts for one in report.processes})
 
 
-def outstanding(before: Before, touched: Iterable[str], report: DeadlineReport) -> tuple[str, ...]:
-    """Touched processes that have not started again since the change."""
-    lives = {one.process: one.restarts for one in report.processes}
-    return tuple(name for name in touched if lives.get(name, 0) <= before.restarts.get(name, 0) and name in lives)
+def outstanding(lives: Mapping[str, int], touched: Iterable[str], written_ns: int) -> tuple[str, ...]:
+    """Touched processes that have not started since a change was written, by the begin of their lives [ns].
+
+    One that nobody has heard of does not run in this unit.
+    """
+    return tuple(name for name in touched if lives.get(name, written_ns + 1) <= written_ns)
 
 
 class Rejects:
@@ -60,14 +62,23 @@ class Rejects:
     def __init__(self) -> None:
         self._newest: dict[str, ProcessHealth] = {}
         self._begun: dict[str, tuple[int, int, int, float]] = {}  # life, time, rejects, rate before
+        self._compares = False
+
+    @property
+    def lives(self) -> dict[str, int]:
+        """Begin of the present life of each process [ns]."""
+        return {name: one.incarnation for name, one in self._newest.items()}
 
     def note(self, health: ProcessHealth) -> None:
         """Take the heartbeat of a process."""
         if not health.state.is_over:
             self._newest[health.process] = health
+            if self._compares and health.process not in self._begun:
+                self._begun[health.process] = health.incarnation, health.sent_ns, _count(health), 0.0
 
     def begin(self) -> None:
         """Begin to compare: what came until now was before the change."""
+        self._compares = True
         self._begun = {
             name: (one.incarnation, one.sent_ns, _count(one), _count(one) / _span_s(one.incarnation, one.sent_ns))
             for name, one in self._newest.items()

@@ -56,9 +56,9 @@ def test_a_process_that_does_not_run_or_keeps_ending_is_worse_and_one_restart_is
 
 
 def test_a_change_is_judged_from_the_start_of_the_processes_that_it_touches() -> None:
-    assert outstanding(BEFORE, TOUCHED, report(CAME)) == TOUCHED
-    assert not outstanding(BEFORE, TOUCHED, report(CAME, restarts=1))
-    assert not outstanding(BEFORE, ("core.fusion",), report(CAME)), "it does not run in this unit"
+    assert outstanding({"sensors.gnss": 5 * S}, TOUCHED, 9 * S) == TOUCHED
+    assert not outstanding({"sensors.gnss": 10 * S}, TOUCHED, 9 * S)
+    assert not outstanding({}, TOUCHED, 9 * S), "it does not run in this unit"
 
 
 def health(process: str, sent_s: int, rejects: int, life_s: int = 0) -> ProcessHealth:
@@ -78,6 +78,14 @@ def test_rejects_are_compared_with_the_rate_of_before_in_the_same_life_and_in_a_
     assert codes(report(CAME), rejects) == [(Code.MORE_REJECTS, "parsers.gnss")]
     rejects.note(health("parsers.gnss", 130, 100, life_s=120))
     assert codes(report(CAME), rejects) == [(Code.MORE_REJECTS, "parsers.gnss")], "of its new life"
+
+
+def test_a_long_life_does_not_dilute_the_rejects_of_now() -> None:
+    rejects = Rejects()
+    rejects.begin()
+    rejects.note(health("parsers.gnss", 36_000, 0))
+    rejects.note(health("parsers.gnss", 36_010, 1000))
+    assert codes(report(CAME), rejects) == [(Code.MORE_REJECTS, "parsers.gnss")]
 
 
 def test_rejects_of_a_process_that_does_not_read_what_was_touched_do_not_count() -> None:

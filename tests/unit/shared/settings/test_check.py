@@ -53,6 +53,11 @@ def test_none_takes_a_value_out_of_the_text() -> None:
         ("vehicle.role", '"rsu"', Code.FIXED),
         ("monitoring.status.static_dir", '"/etc"', Code.FIXED),
         ("sensors.gnss.device", '"tcp://user:secret@10.0.0.1:2947"', Code.SECRET),
+        ("sensors.gnss.device", '"file:///etc/shadow"', Code.FIXED),
+        ("sensors.gnss.device", '"tcp://10.0.0.1:1?password_file=/etc/shadow"', Code.FIXED),
+        ("monitoring.recorder.folder", '"/etc"', Code.FIXED),
+        ("monitoring.status.map_file", '"/etc/shadow"', Code.FIXED),
+        ("controller.mode.gnss_outputs", "[null]", Code.INVALID),
     ],
 )
 def test_what_cannot_be_changed_is_refused_by_its_code(name: str, value: str, code: Code) -> None:
@@ -62,7 +67,9 @@ def test_what_cannot_be_changed_is_refused_by_its_code(name: str, value: str, co
 
 def test_passwords_of_addresses_are_never_told() -> None:
     text = TEXT.replace("serial:///dev/ttyACM0", "tcp://user:hidden@10.0.0.1:2947")
-    found = answer(Question(path="car.toml", text=text, changes={"sensors.gnss.device": '"serial:///dev/ttyACM1"'}))
+    changed = answer(Question(path="car.toml", text=text, changes={"sensors.gnss.device": '"serial:///dev/ttyACM1"'}))
+    assert [one.code for one in changed.refusals] == [Code.SECRET], "the change would lose the password"
+    found = answer(Question(path="car.toml", text=text, changes={"core.fusion.gnss.delay_s": "0.08"}))
     told = json.dumps([one.model_dump() for one in (*found.differences, *found.settings)])
     assert "hidden" not in told and "10.0.0.1" in told
 
@@ -73,3 +80,25 @@ def test_an_earlier_text_is_restored_as_a_whole_and_a_broken_one_is_refused() ->
     assert found.text == earlier and found.counts == (len(found.differences),)
     broken = answer(Question(path="car.toml", text=TEXT, replacement="[vehicle"))
     assert [one.code for one in broken.refusals] == [Code.INVALID]
+
+
+def test_a_text_that_holds_and_is_invalid_can_be_replaced() -> None:
+    broken = TEXT.replace("0.1", '"soon"')
+    found = answer(Question(path="car.toml", text=broken, replacement=TEXT))
+    assert found.text == TEXT and not found.refusals and "core.fusion" in found.touched
+
+
+def test_a_value_that_is_too_long_to_be_shown_is_neither_cut_nor_changed() -> None:
+    text = TEXT + f'\n[monitoring.status]\nallowed_hosts = ["{"a" * 5000}"]\n'
+    found = answer(Question(path="car.toml", text=text))
+    row = next(row for row in found.settings if row.name == "monitoring.status.allowed_hosts")
+    assert json.loads(row.value) and len(row.value) < 100
+    refused = answer(Question(path="car.toml", text=text, changes={row.name: "[]"}))
+    assert [one.code for one in refused.refusals] == [Code.FIXED]
+
+
+def test_the_page_starts_again_where_a_device_of_the_unit_changes() -> None:
+    found = answer(Question(path="car.toml", text=TEXT, changes={"sensors.gnss.device": '"serial:///dev/ttyACM1"'}))
+    assert {"sensors.gnss", "monitoring.status"} <= set(found.touched)
+    before = digests(parse_vehicle(TEXT, "car.toml"))
+    assert before["monitoring.status"] != found.digests["monitoring.status"]

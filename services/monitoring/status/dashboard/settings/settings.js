@@ -60,20 +60,25 @@ const shown = (text) => ({ null: w.notSet, true: w.yes, false: w.no })[text] ?? 
 // What stands in the field for a value of JSON, and the value of JSON for what stands in the field.
 function fieldOf(row, value) {
   if (value === "null") return "";
-  return (isText(row) || row.choices.length > 0) && value.startsWith('"') ? JSON.parse(value) : value;
+  try {
+    return (isText(row) || row.choices.length > 0) && value.startsWith('"') ? JSON.parse(value) : value;
+  } catch {
+    return value;
+  }
 }
 
 function valueOf(row, field) {
+  if (field === null) return null;
   if (field === "") return isText(row) && !types(row).includes("null") ? '""' : null;
+  if (isNumber(row)) return Number.isFinite(Number(field)) ? String(Number(field)) : field;
   if (!isText(row) && !row.choices.length) return field;
   const mayBeOther = types(row).some((type) => !["string", "null"].includes(type));
   return mayBeOther && /^(true|false|-?\d+(\.\d+)?)$/.test(field) ? field : JSON.stringify(field);
 }
 
-function Field({ row, value, edit, disabled }) {
-  const field = fieldOf(row, value);
+function Field({ row, field, edit, disabled }) {
   const common = { id: `setting-${row.name}`, disabled, value: field };
-  const changed = (event) => edit(valueOf(row, event.target.value));
+  const changed = (event) => edit(event.target.value);
   if (isChoice(row)) {
     const options = row.choices.length ? row.choices : ["true", "false"];
     return html`<select ...${common} onChange=${changed}>
@@ -85,15 +90,16 @@ function Field({ row, value, edit, disabled }) {
 }
 
 function SettingRow({ row, edited, edit, disabled }) {
-  const value = row.name in edited ? edited[row.name] ?? row.default : row.value;
+  // What is being typed stays as it is: it becomes a value when it is checked. null: the default.
+  const field = edited[row.name] ?? fieldOf(row, row.name in edited ? row.default : row.value);
   const key = row.name.split(".").slice(row.name.startsWith("vehicle.") ? 1 : 2).join(" ");
   const plain = isText(row) || isNumber(row) || isChoice(row);
   const facts = [...(plain ? [] : [w.list]), ...row.bounds, w.default(shown(row.default))];
   return html`<li class="setting ${row.name in edited ? "edited" : ""}">
     <label for=${`setting-${row.name}`}>${key.replaceAll("_", " ")}</label>
-    <${Field} row=${row} value=${value} edit=${(text) => edit(row, text)} disabled=${disabled} />
+    <${Field} row=${row} field=${field} edit=${(text) => edit(row, text)} disabled=${disabled} />
     <p class="note">${row.meaning} <span class="dim">(${facts.join(", ")})</span>
-      ${value !== row.default && !disabled && html` <button onClick=${() => edit(row, null)} aria-label=${w.useDefaultOf(row.name)}>${w.useDefault}</button>`}</p>
+      ${field !== fieldOf(row, row.default) && !disabled && html` <button onClick=${() => edit(row, null)} aria-label=${w.useDefaultOf(row.name)}>${w.useDefault}</button>`}</p>
   </li>`;
 }
 
@@ -134,13 +140,13 @@ function Versions({ state, run, may }) {
 }
 
 // What is edited: the values, what they would change once that is known, and the way on.
-function Pending({ edited, checked, waiting, may, run, discard }) {
-  const count = Object.keys(edited).length;
+function Pending({ changes, checked, waiting, may, run, discard }) {
+  const count = Object.keys(changes).length;
   if (!count) return null;
   const step = checked ? ["apply", w.apply] : ["check", w.check];
   return html`<div class="pending" role="group" aria-label=${w.edited(count)}><p><strong>${w.edited(count)}</strong></p>
-    ${checked && html`<h3>${w.wouldChange}</h3><${Differences} of=${checked} asked=${edited} /><p>${w.restarts(checked.touched)} ${w.watchedFor}</p>`}
-    <div class="toolbar"><button disabled=${!may || waiting} onClick=${() => run({ action: step[0], changes: edited })}>${step[1]}</button>
+    ${checked && html`<h3>${w.wouldChange}</h3><${Differences} of=${checked} asked=${changes} /><p>${w.restarts(checked.touched)} ${w.watchedFor}</p>`}
+    <div class="toolbar"><button disabled=${!may || waiting} onClick=${() => run({ action: step[0], changes })}>${step[1]}</button>
       <button onClick=${discard}>${w.discard}</button></div></div>`;
 }
 
@@ -170,10 +176,11 @@ export function SettingsPage() {
   const may = session.value?.role === "admin" && link.value.open;
   const edit = (row, value) => {
     const next = { ...edited, [row.name]: value };
-    if (value === row.value || (value === null && row.value === row.default)) delete next[row.name];
+    if (value === null ? row.value === row.default : value === fieldOf(row, row.value)) delete next[row.name];
     setEdited(next);
     forget();
   };
+  const changes = Object.fromEntries(report.settings.filter((row) => row.name in edited).map((row) => [row.name, valueOf(row, edited[row.name])]));
   const wanted = search.trim().toLowerCase();
   const matches = (row) => `${row.name} ${row.name.replaceAll("_", " ")} ${row.meaning}`.toLowerCase().includes(wanted);
   const rows = report.settings.filter((row) => matches(row) && (!only || row.value !== row.default || row.name in edited));
@@ -187,7 +194,7 @@ export function SettingsPage() {
       ${!may && html`<p class="note block">${w.needsAdmin}</p>`}
       <div class="settings-tools"><label><span>${w.search}</span><input type="search" value=${search} onInput=${(e) => setSearch(e.target.value)} /></label>
         <label class="switch"><input type="checkbox" checked=${only} onChange=${(e) => setOnly(e.target.checked)} /> ${w.onlyChanged}</label></div>
-      <${Pending} edited=${edited} checked=${checked} waiting=${waiting} may=${may} run=${run} discard=${discard} />
+      <${Pending} changes=${changes} checked=${checked} waiting=${waiting} may=${may} run=${run} discard=${discard} />
       <p role="status" class="note">${waiting ? w.checking : open?.error ?? refused}</p>
       ${!rows.length && html`<p class="note block">${w.nothingFound}</p>`}
       ${grouped(rows).map(([name, some]) => html`<${Section} key=${`${name} ${narrowed}`} name=${name} rows=${some} edited=${edited} edit=${edit} open=${narrowed} disabled=${!may} />`)}

@@ -46,7 +46,7 @@ export const settingsWords = {
   offered: "It changes where sensors are. Look at the installation checks over the next drive, and take it back if they disagree.",
   versions: "Earlier versions",
   noVersions: "Nothing was changed yet.",
-  version: (time, differing) => `replaced ${time} UTC, ${differing === 1 ? "1 setting differs" : `${differing} settings differ`}`,
+  version: (time, differing) => `replaced ${time} UTC, ${differing === null ? "cannot be compared" : differing === 1 ? "1 setting differs" : `${differing} settings differ`}`,
   restore: "Restore",
   restoreOf: (number) => `Restore version ${number}`,
   changedNote: "Settings of this page hold in the place of the vehicle's file.",
