@@ -78,7 +78,7 @@ def test_the_port_of_the_receiver_is_found_changed_confirmed_and_taken_back(
         differences=found.differences, touched=found.touched,
     )  # fmt: skip
     server.bus.feed(SettingsAnswer(sampled_ns=server.bus.now_ns(), change=change), "controller.settings")
-    expect(page.get_by_text("These processes start again: sensors.gnss.")).to_be_visible()
+    expect(page.get_by_text("These processes start again: sensors.gnss, monitoring.status.")).to_be_visible()
     judge_everywhere(page, "settings-checked")
     page.get_by_role("button", name="Apply").click()
     eventually(lambda: commands(server)[-1].action is SettingsAction.APPLY)
