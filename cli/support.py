@@ -39,7 +39,8 @@ READ_ME = """What `obu support` has collected. Nothing was sent: look through it
 about.json       versions, machine, free room
 doctor.txt       checks of this machine, the configuration and the running unit, with remedies
 vehicle.toml     settings that hold, without users, passwords and other secrets
-health.json      topics and processes against their deadlines, and outages, as the page told them
+health.json      topics and processes against their deadlines, and outages, as the page told them; a page that asks
+                 for a login tells nothing (401): doctor.txt has what the bus told
 logs/            the ends of the processes' logs, where they are files
 last.mcap        the last minutes of the newest recording: it holds where the vehicle was
 """
@@ -73,7 +74,7 @@ def support(
                 archive.writestr(name, content)
                 print(f"{name}: {len(content.encode())} bytes")
             if minutes:
-                print(_recording(archive, state, vehicle, minutes * MINUTE_S))
+                print(_recording(archive, path.absolute().parent, _newest(state, vehicle), minutes * MINUTE_S))
     except OSError as error:
         path.unlink(missing_ok=True)
         raise UserError(f"cannot write {path}: {error.strerror}; make room or name another file with -o") from error
@@ -145,17 +146,16 @@ def _end_of(path: Path) -> str:
         return f"cannot be read: {error.strerror}\n"
 
 
-def _recording(archive: zipfile.ZipFile, state: Path, vehicle: Path | None, span_s: float) -> str:
-    """Put the end of the newest recording into the archive; say what became of it."""
-    newest = _newest(state, vehicle)
+def _recording(archive: zipfile.ZipFile, folder: Path, newest: Path | None, span_s: float) -> str:
+    """Put the end of the newest recording into the archive, by a draft in a folder; say what became of it."""
     if newest is None:
         return "last.mcap: there is no recording"
-    part = state / f"support-{os.getpid()}-{time.time_ns()}.mcap"
+    part = folder / f".obu-support-{os.getpid()}-{time.time_ns()}.mcap"
     try:
         count = _cut(newest, part, span_s)
         archive.write(part, "last.mcap", zipfile.ZIP_STORED)
         return f"last.mcap: {count} messages of {newest.name}, {part.stat().st_size} bytes"
-    except BadRecording as error:
+    except (BadRecording, OSError) as error:
         return f"last.mcap: left out: {error}"
     finally:
         part.unlink(missing_ok=True)

@@ -19,15 +19,16 @@ from shared.maths.earth import STANDARD_GRAVITY, FloatArray, Geodetic, ned_from_
 
 from .mapping.mapping import parse_mapping
 from .mapping.units import COORDINATE, DATE, FORCE, RATE, SPEED, TIME
-from .readers.dates import unix_time
+from .readers.dates import is_time_of_day, unix_time
 
 ROWS, LINE_CHARACTERS, COLUMNS = 20_000, 20_000, 400
 PREVIEW_S, PREVIEW_ROWS = 60.0, 4
 SEPARATORS = ",;\t|"
 # Names of columns without case, blanks and units, in the order in which they are preferred.
 NAMES = {
-    "time": r"((unix|utc|epoch|gps|gpst|system|device|sensor)_)*(time|timestamp|stamp|date|datetime|unix|utc|gpst)"
+    "time": r"((unix|utc|epoch|gps|gpst|system|device|sensor)_)*(time|timestamp|stamp|datetime|unix|utc|gpst)"
     r"(_(unix|utc))*|t|seconds(_elapsed)?",
+    "date": r"((utc|gps)_)?(date|day)",
     "latitude": r"lat(itude)?(_deg)?",
     "longitude": r"lon(g|gitude)?|lng",
     "height": r"(h|height|alt|altitude|elev|elevation)(_ell(ipsoid)?|_msl|_wgs84)?",
@@ -45,9 +46,11 @@ SAID = {  # how names write units
     "m/s": "m/s", "mps": "m/s", "m_s": "m/s", "knot": "kn", "knots": "kn", "kn": "kn", "mph": "mph", "deg/s": "deg/s",
     "dps": "deg/s", "deg_s": "deg/s", "°/s": "deg/s", "rad/s": "rad/s", "rps": "rad/s", "rad_s": "rad/s", "mg": "mg",
     "g": "g", "deg": "deg", "°": "deg", "rad": "rad", "ms": "ms", "us": "us", "ns": "ns", "sec": "s", "s": "s",
-    "m": "m",
+    "m": "m", "ft": "ft", "mm/s": "mm/s", "cm/s": "cm/s", "mdeg/s": "mdeg/s",
 }  # fmt: skip
 UNIT = re.compile(rf"[ _]*[\[(]?({'|'.join(map(re.escape, sorted(SAID, key=len, reverse=True)))})[\])]?$")
+FIRST_S, LAST_S, MOST_STEP_S = 946_684_800.0, 4_102_444_800.0, 60.0  # 2000 and 2100 as Unix time; between two rows
+ACCURACY_MOST_M = 100.0  # of a receiver; more is said in millimetres
 TURN_MOST = 3.5  # [rad/s] of a road vehicle or of a phone in it; in degrees a second it is a slow bend
 
 
@@ -90,7 +93,12 @@ def draft_of(path: Path) -> Draft:
             f"{path.name} has no column whose name says time; its columns are {', '.join(table.columns)[:300]}. "
             "Name one `time`, or write a mapping: docs/how-to/import-a-drive.md"
         )
+    if "date" in found and not is_time_of_day(table.columns[found["time"]][0]):
+        del found["date"]
     time = _time(table, found["time"], draft)
+    if (date := found.get("date")) is not None:
+        time["date_column"] = date
+        draft.reasons.append(f"{date} is the day of {found['time']}")
     tables: dict[str, dict[str, object]] = {}
     common = {"file": path.name, **({} if table.separator == "," else {"separator": table.separator}), "time": time}
     if {"latitude", "longitude"} <= found.keys():
@@ -103,6 +111,10 @@ def draft_of(path: Path) -> Draft:
             f"{', '.join(table.columns)[:300]}. Write a mapping: docs/how-to/import-a-drive.md"
         )
     draft.text = _text(path, tables, draft)
+    used = {*found.values()}
+    if unused := [name for name in table.columns if name not in used]:
+        draft.open.append(f"not used: {', '.join(unused)[:300]}")
+        draft.text = _text(path, tables, draft)
     parse_mapping(draft.text, "the draft")
     draft.preview = list(_preview(table, found, str(time["unit"])))
     return draft
@@ -134,6 +146,8 @@ def recognised(table: Table) -> dict[str, str]:
             if name not in found.values() and re.fullmatch(pattern, plain[name]):
                 found[quantity] = name
                 break
+    if "time" not in found and "date" in found:
+        found["time"] = found.pop("date")
     return found
 
 
@@ -159,46 +173,67 @@ def _time(table: Table, name: str, draft: Draft) -> dict[str, object]:
     values = table.numbers(name)
     if np.isnan(values[:10]).all():
         try:
-            unix_time(texts[0])
+            if not is_time_of_day(texts[0]):
+                unix_time(texts[0])
         except ValueError as error:
             raise UserError(f"{name} = {texts[0]!r} is no time that is known: {error}; write a mapping") from error
         draft.reasons.append(f"{name} is a date, read as UTC where it states no zone")
         return {"column": name, "unit": DATE}
-    first = float(np.nanmedian(values))
+    if (unit := _unix_unit(values)) is not None:
+        draft.reasons.append(f"{name} is Unix time in {unit}, by its size and its steps")
+        draft.open.append(f"whether {name} is UTC or GPS time (18 s ahead): set offset_s = -18.0 for GPS time")
+        if "gps" in name.lower():
+            draft.open.append(f"whether {name} counts from 1970 or, as GPS does, from 1980 (offset_s = 315964782.0)")
+        return {"column": name, "unit": unit}
     said = _said(name)
-    for least, unit in ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s")):
-        if first > least:
-            draft.reasons.append(f"{name} is Unix time in {unit}, by its size")
-            draft.open.append(f"whether {name} is UTC or GPS time (18 s ahead): set offset_s = -18.0 for GPS time")
-            return {"column": name, "unit": unit}
     unit = said if said in TIME else _unit_of_step(values)
     draft.reasons.append(f"{name} counts from a beginning of its own, in {unit}")
     draft.open.append("at which time the file begins: set start_utc_s (Unix time); without it the drive is in 1970")
     return {"column": name, "unit": unit}
 
 
+def _unix_unit(values: FloatArray) -> str | None:
+    """Unit in which stamps are of this century and rows come at least every minute; None without one."""
+    first, steps = float(np.nanmedian(values)), np.abs(np.diff(values))
+    step = float(np.nanmedian(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
+    of_century = (unit for unit, factor in TIME.items() if unit != DATE and FIRST_S < first * factor < LAST_S)
+    return next((unit for unit in of_century if step * TIME[unit] <= MOST_STEP_S), None)
+
+
 def _unit_of_step(values: FloatArray) -> str:
     """Unit in which the rows come 0.5 to 2000 times a second."""
     step = float(np.nanmedian(np.abs(np.diff(values)[np.diff(values) != 0.0]))) if len(values) > 2 else 1.0
     return next(
-        (unit for unit, factor in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)) if 5e-4 <= step * factor <= 2.0), "s"
+        (
+            unit
+            for unit, factor in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
+            if 5e-4 <= step * factor <= 2.0
+        ),
+        "s",
     )
 
 
 def _gnss(table: Table, found: Mapping[str, str], draft: Draft) -> dict[str, object]:
+    if "height" not in found:
+        raise UserError(
+            f"{table.path.name} has latitude and longitude and no column whose name says height or altitude; name one, "
+            "or add one that is constant"
+        )
     gnss: dict[str, object] = {"source": "gnss", "quality": "single"}
     largest = max(float(np.nanmax(np.abs(table.numbers(found[name])))) for name in ("latitude", "longitude"))
     unit = "1e-7 deg" if largest > 1e4 else "rad" if _said(found["latitude"]) == "rad" else "deg"
     draft.reasons.append(f"{found['latitude']} and {found['longitude']} are in {unit}, by their size")
     for name in ("latitude", "longitude"):
         gnss[name] = {"column": found[name], "unit": unit}
-    if "height" in found:
-        above_sea = "msl" in _plain(found["height"])
-        gnss["height"] = {"column": found["height"], "kind": "msl" if above_sea else "ellipsoid"}
-        if above_sea:
-            draft.open.append("geoid_separation_m of [gnss] height: how far sea level is above the ellipsoid there")
-        else:
-            draft.open.append(f"whether {found['height']} is above the ellipsoid (assumed) or above sea level")
+    above_sea, unit_of_height = "msl" in _plain(found["height"]), "ft" if _said(found["height"]) == "ft" else "m"
+    gnss["height"] = {
+        "column": found["height"], "unit": unit_of_height, "kind": "msl" if above_sea else "ellipsoid",
+        **({"geoid_separation_m": 0.0} if above_sea else {}),
+    }  # fmt: skip
+    if above_sea:
+        draft.open.append("geoid_separation_m of [gnss] height: how far sea level is above the ellipsoid there")
+    else:
+        draft.open.append(f"whether {found['height']} is above the ellipsoid (assumed) or above sea level")
     vertical = next((name for name in ("down", "up") if name in found), None)
     if {"north", "east"} <= found.keys() and vertical is not None:
         columns = [found[name] for name in ("north", "east", vertical)]
@@ -212,9 +247,14 @@ def _gnss(table: Table, found: Mapping[str, str], draft: Draft) -> dict[str, obj
         gnss["ground_speed"] = {"column": found["speed"], "unit": unit_of_speed}
         gnss["course"] = {"column": found["course"], "unit": angle}
         draft.reasons.append(f"{found['course']} is in {angle}: the largest value is {turned:.5g}")
+        if angle == "rad" and _said(found["course"]) is None:
+            draft.open.append(f"whether {found['course']} is in rad: a drive straight to the north looks so in degrees")
     if "accuracy" in found:
         names = [found["accuracy"]] * 3
-        gnss["position_sd"] = {"columns": names}
+        middle = float(np.nanmedian(table.numbers(found["accuracy"])))
+        gnss["position_sd"] = {"columns": names, **({"scale": 0.001} if middle > ACCURACY_MOST_M else {})}
+        if middle > ACCURACY_MOST_M:
+            draft.reasons.append(f"{found['accuracy']} is in mm: {middle:.4g} in the middle")
         draft.open.append(f"what share {found['accuracy']} holds: a 68 % radius, as Android's, needs scale = 0.66")
     else:
         gnss["position_sd"] = {"constant_ned": [3.0, 3.0, 6.0]}
@@ -283,11 +323,7 @@ def _seconds(table: Table, name: str) -> FloatArray:
     values = table.numbers(name)
     if np.isnan(values[:10]).all():
         return np.array([_or_nan(unix_time, text) for text in table.columns[name]])
-    first = float(np.nanmedian(values))
-    for least, factor in ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3), (1e8, 1.0)):
-        if first > least:
-            return values * factor
-    return values * TIME[_unit_of_step(values)]
+    return values * TIME[_unix_unit(values) or _unit_of_step(values)]
 
 
 def _text(path: Path, tables: Mapping[str, Mapping[str, object]], draft: Draft) -> str:

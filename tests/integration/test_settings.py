@@ -117,7 +117,9 @@ def test_the_receivers_port_is_changed_watched_kept_or_taken_back(vehicle: Vehic
         unit.until(lambda: unit.stage(checked) == "checked")
         answer = cast(Json, unit.report()["answer"])
         assert answer["differences"] == [{"name": "sensors.gnss.device", "before": before, "after": value}]
-        assert answer["touched"] == ["sensors.gnss", "monitoring.status"] and unit.device() == before, "nothing is changed yet"
+        assert answer["touched"] == ["sensors.gnss", "monitoring.status"] and unit.device() == before, (
+            "nothing is changed yet"
+        )
 
         applied = unit.ask(action="apply", changes={"sensors.gnss.device": value})
         unit.until(lambda: unit.stage(applied) == "watched")

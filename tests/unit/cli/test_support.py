@@ -51,7 +51,7 @@ def test_it_holds_what_helps_and_no_secret(state: Path, capsys: pytest.CaptureFi
         stamps = [envelope.received_ns for envelope in part]
         assert [e.received_ns for e in whole][-len(stamps) :] == stamps, "the end of it, complete"
         assert 25e9 < stamps[-1] - stamps[0] <= 30e9
-    assert not list(state.glob("support-*")), "no draft is left"
+    assert not list(state.glob(".obu-support*")), "no draft is left"
 
 
 def test_without_minutes_it_does_not_say_where_the_vehicle_was(state: Path) -> None:

@@ -99,6 +99,7 @@ def test_what_is_drafted_can_be_imported_and_gives_the_speeds_of_the_table(
         ("", "is no table"),
         ("1,2,3\n4,5,6\n7,8,9\n", "is no table"),
         ("time,colour\n1,red\n2,blue\n3,red\n", "neither latitude"),
+        ("time,lat,lon\n1,48,11\n2,48,11\n3,48,11\n", "height or altitude"),
         ("lat,lon\n48,11\n48,11\n48,11\n", "says time"),
         ("time,lat,lon\nsoon,48,11\nlater,48,11\nnever,48,11\n", "is no time"),
         ("a" * 100_000 + "\n", "is no table"),
@@ -110,3 +111,22 @@ def test_what_cannot_be_drafted_is_refused_with_what_to_do(tmp_path: Path, conte
     path.write_bytes(content.encode("latin-1"))
     with pytest.raises(UserError, match=why):
         draft_of(path)
+
+
+def test_a_clock_since_boot_is_no_unix_time(tmp_path: Path) -> None:
+    rows = "\n".join(f"{50_000_000_000_000 + 10_000_000 * row},0.1,0.2,9.8,0,0,0.01" for row in range(100))
+    path = tmp_path / "log.csv"
+    path.write_text(f"timestamp,ax,ay,az,gx,gy,gz\n{rows}\n")
+    imu = mapping(path).imu
+    assert imu is not None and imu.time.unit == "ns"
+    assert any("a beginning of its own" in reason for reason in draft_of(path).reasons)
+
+
+def test_a_day_and_a_time_of_day_are_one_stamp_and_millimetres_are_seen(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    rows = "\n".join(f"2025-10-09,08:53:{row:02d},48.0,11.{row:03d},1500,{500 + row},1" for row in range(50))
+    path.write_text(f"date,time,lat,lon,hacc,alt,colour\n{rows}\n")
+    draft = draft_of(path)
+    gnss = parse_mapping(draft.text, "draft").gnss
+    assert gnss is not None and gnss.time.date_column == "date" and gnss.position_sd is not None
+    assert gnss.position_sd.scale == 0.001 and any("not used: colour" in one for one in draft.open)
