@@ -68,7 +68,18 @@ from .chain import Chain
 from .codes import DECIDED_BY, Code
 from .confirmation import TIGHT_SD, Claim, Judgement, Verdict, groups, judge
 from .pictures import Pictures
-from .reconciliation import MINIMUM_PROBABILITY, Crossing, Mode, Ownership, Pulse, PulseModel, match, near, ownership
+from .reconciliation import (
+    MINIMUM_PROBABILITY,
+    Crossing,
+    Mode,
+    Ownership,
+    Pulse,
+    PulseModel,
+    is_one_vehicle,
+    match,
+    near,
+    ownership,
+)
 from .registrations import Contract, Registrations, contracts_of, identities_of
 from .replays import Replays
 from .store import Row, Store
@@ -268,10 +279,9 @@ class Around:
         return number is not None and bool(self.matched.crossings[number]["authenticated"])
 
     def ownership(self, row: Row) -> Ownership | None:
-        """Find the lane in which a crossing was counted."""
+        """Find the pulse with which a crossing was counted."""
         crossing, pulses, rivals, model = self._near(row)
-        keyed = [Pulse(pulse["rowid"], pulse["lane"], pulse["sampled_ns"]) for pulse in pulses]
-        return ownership(crossing, keyed, [_crossing(rival) for rival in rivals], model)
+        return ownership(crossing, [_keyed(pulse) for pulse in pulses], [_crossing(rival) for rival in rivals], model)
 
     def evidence(self, row: Row, probability: float | None) -> PulseAssignment | None:
         """What the ownership of a crossing follows from."""
@@ -578,7 +588,7 @@ class Ledger:
         for authenticated in (True, False):
             found |= match(
                 [
-                    Pulse(key, row["lane"], row["sampled_ns"])
+                    _keyed(row)
                     for key, row in pulses.items() if key not in found and not row["backward"]
                 ],
                 [_crossing(row) for row in crossings.values() if bool(row["authenticated"]) is authenticated],
@@ -807,6 +817,8 @@ class Ledger:
             authenticated=bool(row["authenticated"]),
             pulse=None if pulse is None else pulse["rowid"],
             explains=frozenset(explains),
+            has_second=pulse is not None
+            and not all(is_one_vehicle(_keyed(pulse), _keyed(around.matched.pulses[key])) for key in explains),
             is_counted=row["state"] != PassageState.HELD
             or (owned is not None and owned.probability >= self._settings.counted_probability),
             probability=None if owned is None else owned.probability,
@@ -1622,6 +1634,10 @@ def _balance(lane: str, hour_ns: int, counts: Mapping[str, int]) -> LaneBalance:
 def _crossing(row: Row) -> Crossing:
     modes = tuple(Mode(*mode) for mode in json.loads(row["modes"]))
     return Crossing(row["number"], row["crossing_ns"], row["sd_s"], row["lane"], json.loads(row["lanes"]), modes)
+
+
+def _keyed(row: Row) -> Pulse:
+    return Pulse(row["rowid"], row["lane"], row["sampled_ns"])
 
 
 def _modes_of(modes: Sequence[CrossingMode]) -> list[tuple[float, float, dict[str, float]]]:

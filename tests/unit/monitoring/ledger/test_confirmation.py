@@ -184,6 +184,18 @@ def test_a_pulse_two_seconds_away_is_that_of_another_vehicle(gate: Gate) -> None
     assert not gate.state(car).transactions
 
 
+def test_a_second_pulse_of_its_lane_leaves_a_passage_to_a_person(gate: Gate) -> None:
+    car = gate.vehicle("a")
+    gate.pulse(car, -0.55)
+    gate.pulse(car, 0.5)
+    gate.end(car, crossing_sd_s=0.5)
+    assert gate.outcome(car) is HELD
+    assert gate.outcome(car, EXIT_S + 31) is SUSPECT and not gate.state(car).transactions
+    review = gate.reviews()[car.passage_id]
+    assert review.reason_code and review.reason_code.code == "ledger.unsure"
+    assert float(str(review.reason_code.values["probability"])) == pytest.approx(0.525, abs=2e-3)  # of two normal densities
+
+
 def test_a_void_statement_ends_what_is_held(gate: Gate) -> None:
     car = gate.vehicle("a")
     gate.end(car)
@@ -438,6 +450,8 @@ def test_passages_are_grouped_over_a_third_one() -> None:
         ({}, Verdict.STANDS),
         ({"pulse_sds": 3.1}, Verdict.WAITS),
         ({"pulse_sds": 3.1, "waited": True}, Verdict.STANDS),
+        ({"has_second": True}, Verdict.WAITS),
+        ({"has_second": True, "waited": True}, Verdict.STANDS),
         ({"pulse_sds": None}, Verdict.WAITS),
         ({"pulse_sds": None, "waited": True}, Verdict.REVIEW),
         ({"has_detector": False, "pulse_sds": None}, Verdict.STANDS),
