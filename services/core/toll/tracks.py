@@ -473,6 +473,9 @@ class TrackTable:
     def _silent_here(self, one: CamMeasurement) -> tuple[Track | None, int, tuple[Track, ...]]:
         """Find the nearest track whose prediction is where an unknown station appears.
 
+        What is authenticated continues, and is continued by, only what is: frames that anybody can send neither put a
+        continuation in doubt nor take a passage over.
+
         Returns
         -------
         Track or None, int, tuple of Track
@@ -481,7 +484,8 @@ class TrackTable:
         """
         tracks = [
             track for track in self.tracks
-            if 0 < one.time_ns - track.updated_ns < 2.0 * self._settings.link_after_s * 1e9
+            if (track.ticket is not None) is one.is_authenticated
+            and 0 < one.time_ns - track.updated_ns < 2.0 * self._settings.link_after_s * 1e9
         ]  # fmt: skip
         if not tracks:
             return None, 0, ()
@@ -548,6 +552,9 @@ class TrackTable:
         if not self._of_id[track.sender[0]]:
             del self._of_id[track.sender[0]]
         self._free.append(track.slot)
+        track.predecessor, track.others = None, ()  # its own claims end, and no chain of tracks is kept alive
+        if not any(claimant.predecessor is track for claimant in self.by_station.values()):
+            track.frames, track.frame_bytes = deque(), 0
 
 
 def _as_stated(one: CamMeasurement) -> CamMeasurement:

@@ -37,14 +37,15 @@ class Claim:
     explains: frozenset[int] = frozenset()  # pulses of its lane within three standard deviations of its crossing
     is_counted: bool = True  # with the probability that is required, given all pulses and crossings around it
     has_lane: bool = True  # by its CAM; without one it waits for what is around it
-    probability: float | None = None  # that it was counted, in the lane of its pulse
+    probability: float | None = None  # that it was counted, by its pulse
+    has_second: bool = False  # a pulse of another vehicle is in its lane within three standard deviations
 
     @property
     def is_confirmed(self) -> bool:
         """Whether it has a pulse, which a vehicle before or behind it cannot claim any more."""
         if self.pulse_sds is None or not self.is_counted:
             return False
-        return self.waited or (self.has_lane and self.pulse_sds <= TIGHT_SD)
+        return self.waited or (self.has_lane and self.pulse_sds <= TIGHT_SD and not self.has_second)
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,18 @@ from .chain import Chain
 from .codes import DECIDED_BY, Code
 from .confirmation import TIGHT_SD, Claim, Judgement, Verdict, groups, judge
 from .pictures import Pictures
-from .reconciliation import MINIMUM_PROBABILITY, Crossing, Mode, Ownership, Pulse, PulseModel, match, near, ownership
+from .reconciliation import (
+    MINIMUM_PROBABILITY,
+    Crossing,
+    Mode,
+    Ownership,
+    Pulse,
+    PulseModel,
+    is_one_vehicle,
+    match,
+    near,
+    ownership,
+)
 from .registrations import Contract, Registrations, contracts_of, identities_of
 from .replays import Replays
 from .store import Row, Store
@@ -196,6 +207,7 @@ class PulseMatches:
     pulses: Mapping[int, Row] = field(default_factory=dict)  # by row
     crossings: Mapping[int, Row] = field(default_factory=dict)  # by number
     found: Mapping[int, int] = field(default_factory=dict)  # number of the crossing by row of the pulse
+    given: frozenset[int] = frozenset()  # pulses that have confirmed a charge
 
     @property
     def pulse_of(self) -> dict[int, Row]:
@@ -226,6 +238,7 @@ class Around:
 
     def __init__(self, matched: PulseMatches, settings: Settings, rates: Mapping[str, float]) -> None:
         self.matched, self.times = matched, PulseTimes(matched.pulses)
+        self._charged = {matched.found[key] for key in matched.given}  # crossings with a pulse of their own
         self._settings, self._rates = settings, rates
         self._crossings: dict[bool, dict[int, Crossing]] = {True: {}, False: {}}  # by whether they are authenticated
         for number, row in matched.crossings.items():
@@ -248,8 +261,9 @@ class Around:
         possible = _possible_lanes(crossing)
         others = {
             number: other.time_ns for number, other in self._crossings[known].items()
-            if number != crossing.key and abs(other.time_ns - crossing.time_ns) <= within_ns
-            and possible & _possible_lanes(other)
+            if number != crossing.key and number not in self._charged
+            and matched.crossings[number]["state"] != PassageState.VOID
+            and abs(other.time_ns - crossing.time_ns) <= within_ns and possible & _possible_lanes(other)
         }  # fmt: skip
         rivals = [matched.crossings[number] for number in near(crossing, others)]
         lanes = possible.union(*(_possible_lanes(self._crossings[known][row["number"]]) for row in rivals))
@@ -257,10 +271,14 @@ class Around:
             key: matched.pulses[key]["sampled_ns"]
             for lane in sorted(lanes)
             for key in self.times.near(lane, crossing.time_ns, within_ns)
-            if known or not self._is_of_known(key)
+            if self.is_free(key, crossing.key) and (known or not self._is_of_known(key))
         }
         pulses = [matched.pulses[key] for key in near(crossing, free)]
         return crossing, pulses, rivals, self._model(crossing)
+
+    def is_free(self, key: int, number: int) -> bool:
+        """Whether a pulse has not confirmed the charge of another crossing than this one."""
+        return key not in self.matched.given or self.matched.found[key] == number
 
     def _is_of_known(self, key: int) -> bool:
         """Whether a pulse is that of an authenticated vehicle."""
@@ -268,10 +286,9 @@ class Around:
         return number is not None and bool(self.matched.crossings[number]["authenticated"])
 
     def ownership(self, row: Row) -> Ownership | None:
-        """Find the lane in which a crossing was counted."""
+        """Find the pulse with which a crossing was counted."""
         crossing, pulses, rivals, model = self._near(row)
-        keyed = [Pulse(pulse["rowid"], pulse["lane"], pulse["sampled_ns"]) for pulse in pulses]
-        return ownership(crossing, keyed, [_crossing(rival) for rival in rivals], model)
+        return ownership(crossing, [_keyed(pulse) for pulse in pulses], [_crossing(rival) for rival in rivals], model)
 
     def evidence(self, row: Row, probability: float | None) -> PulseAssignment | None:
         """What the ownership of a crossing follows from."""
@@ -570,22 +587,33 @@ class Ledger:
     def _matched(self) -> PulseMatches:
         """Assign the pulses and crossings that are not accounted for yet.
 
-        First those of authenticated vehicles: nothing that is not authenticated takes a pulse from them.
+        The pulse of a charge stays its own. Then those of authenticated vehicles: nothing that is not authenticated
+        takes a pulse from them.
         """
         pulses = {row["rowid"]: row for row in self._store.rows("SELECT rowid, * FROM pulse WHERE NOT done")}
         crossings = {row["number"]: row for row in self._store.rows("SELECT * FROM crossing")}
-        found: dict[int, int] = {}
+        number_of = {row["passage_id"]: number for number, row in crossings.items() if row["passage_id"]}
+        found = {
+            key: number_of[row["owner"]] for key, row in pulses.items()
+            if not row["backward"] and row["owner"] in number_of
+        }  # fmt: skip
+        given = frozenset(found)
+        owners = set(found.values())
         for authenticated in (True, False):
             found |= match(
                 [
-                    Pulse(key, row["lane"], row["sampled_ns"])
+                    _keyed(row)
                     for key, row in pulses.items() if key not in found and not row["backward"]
                 ],
-                [_crossing(row) for row in crossings.values() if bool(row["authenticated"]) is authenticated],
+                [
+                    _crossing(row)
+                    for number, row in crossings.items()
+                    if number not in owners and bool(row["authenticated"]) is authenticated
+                ],
                 detector_sd_s=self._settings.detector_sd_s,
                 gate_s=self._settings.match_gate_s,
             )  # fmt: skip
-        return PulseMatches(pulses, crossings, found)
+        return PulseMatches(pulses, crossings, found, given)
 
     def _without_detection(self, lane: str) -> str:
         """Name the count of a charge without a pulse: a fault only where there is a detector."""
@@ -601,7 +629,7 @@ class Ledger:
         back_of = self._pulses_backward(counted, held)
         for passage_id, row in turned.items():
             pulse, back = pulse_of.get(row["number"]), back_of.get(passage_id)
-            self._judge_turned(row, pulse, back, now_ns, is_held=passage_id in held)
+            self._judge_turned(matched, row, pulse, back, now_ns, is_held=passage_id in held)
         around = Around(matched, self._settings, self._others_per_s(now_ns))
         named = {other for row in rows.values() if row["overlaps"] != "[]" for other in json.loads(row["overlaps"])}
         claims = {
@@ -677,7 +705,9 @@ class Ledger:
         self._charge_held(claim.passage_id, now_ns, pulses=own, verdict=verdict, assignment=assignment)
 
     def _give_pulse(self, row: Row, pulse: Row) -> None:
-        """Assign a pulse to a passage that is charged: the ghosts around it cross nothing any more."""
+        """Assign a pulse to a passage that is charged: it confirms no other one, and ghosts cross nothing any more."""
+        self._store.execute("UPDATE pulse SET owner = NULL WHERE owner = ? AND NOT backward", row["passage_id"])
+        self._store.execute("UPDATE pulse SET owner = ? WHERE rowid = ?", row["passage_id"], pulse["rowid"])
         self._store.execute(
             "UPDATE crossing SET crossing_ns = ?, lane = ?, modes = '[]' WHERE number = ?",
             pulse["sampled_ns"], pulse["lane"], row["number"],
@@ -694,7 +724,9 @@ class Ledger:
             row["passage_id"], row["lane"], row["crossing_ns"], self._tickets.get(row["passage_id"]), now_ns
         )
 
-    def _judge_turned(self, row: Row, pulse: Row | None, back: Row | None, now_ns: int, *, is_held: bool) -> None:
+    def _judge_turned(
+        self, matched: PulseMatches, row: Row, pulse: Row | None, back: Row | None, now_ns: int, *, is_held: bool
+    ) -> None:
         """Decide on a vehicle that says it has turned around behind the gate line, or fell silent before it.
 
         The detector decides: without a pulse it has not passed, and neither with one backwards behind it, of its own.
@@ -702,7 +734,7 @@ class Ledger:
         """
         waited = now_ns - row["settled_ns"] >= round(self._settings.confirm_wait_s * NS)
         if pulse is not None and back is None:
-            is_silent = is_held and self._fell_silent(row["passage_id"])
+            is_silent = is_held and self._silent(row["passage_id"]) is not None
             if is_held and (waited or (row["lane"] not in self._directed and not is_silent)):
                 self.pictures.disputed(pulse)
                 code = Code.SILENT_COUNTED if is_silent else Code.TURNED_COUNTED
@@ -712,17 +744,60 @@ class Ledger:
                     "UPDATE crossing SET state = ? WHERE number = ?", PassageState.UNREGISTERED, row["number"]
                 )
         elif is_held and waited:
+            if back is None and (silent := self._silent(row["passage_id"])) is not None:
+                if self._passed_late(silent, matched, now_ns):
+                    return
+                if now_ns < self._silent_times(silent)[1] + round(self._settings.confirm_wait_s * NS):
+                    return
             self._store.execute("DELETE FROM held WHERE passage_id = ?", row["passage_id"])
             if back is not None:
                 self._store.execute("UPDATE pulse SET owner = ? WHERE rowid = ?", row["passage_id"], back["rowid"])
 
-    def _fell_silent(self, passage_id: str) -> bool:
-        """Whether a held passage is that of a vehicle that fell silent before the gate line."""
+    def _silent(self, passage_id: str) -> TollPassage | None:
+        """Final statement of a held passage whose vehicle fell silent before the gate line; None: it did not."""
         held = self._store.row("SELECT charged FROM held WHERE passage_id = ?", passage_id)
         if held is None:
+            return None
+        message = self._read(TollPassage, held["charged"], passage_id)
+        why = message.reason_code
+        return message if why is not None and why.code == SILENT_BEFORE else None
+
+    def _passed_late(self, message: TollPassage, matched: PulseMatches, now_ns: int) -> bool:
+        """Review a vehicle that fell silent before the gate line, if a pulse that nothing explains may be its own.
+
+        It may have stood there without its radio, and have gone on. A pulse is judged when the passage of who caused
+        it has had the time to be stated; if the vehicle was charged, or is to be, under another ID, nothing is open.
+        """
+        if self._is_seen_again(message):
             return False
-        why = self._read(TollPassage, held["charged"], passage_id).reason_code
-        return why is not None and why.code == SILENT_BEFORE
+        ripe_ns = now_ns - round(self._settings.confirm_wait_s * NS)
+        from_ns, until_ns = self._silent_times(message)
+        pulse = self._unexplained_pulse(message, matched, from_ns, min(until_ns, ripe_ns))
+        if pulse is None:
+            return False
+        self.pictures.disputed(pulse)
+        self._review(message.passage_id, explain(Code.SILENT_COUNTED), [], now_ns)
+        return True
+
+    def _silent_times(self, message: TollPassage) -> tuple[int, int]:
+        """From its last CAM, when a vehicle that fell silent before the gate line may have crossed it.
+
+        The crossing that is stated for it lies at most two standard deviations, or 2 s, behind that CAM.
+        """
+        last_ns = (message.crossing_ns or message.sampled_ns) - round(2.0 * (message.crossing_sd_s or 1.0) * NS)
+        return last_ns, last_ns + round(self._settings.silence_limit_s * NS)
+
+    def _is_seen_again(self, message: TollPassage) -> bool:
+        """Whether a vehicle has crossed the gate line in another passage after this one was opened."""
+        held = self._store.row("SELECT * FROM held WHERE passage_id = ?", message.passage_id)
+        contracts = self._contracts_of_held(held) if held is not None else set()
+        return any(
+            self._store.row(
+                "SELECT 1 FROM chain WHERE name = ? AND passage_id <> ? AND crossing_ns BETWEEN ? AND ?",
+                name, message.passage_id, message.opened_ns, self._silent_times(message)[1],
+            )
+            for name in _names(message, contracts)
+        )  # fmt: skip
 
     def _pulses_backward(self, turned: Sequence[tuple[Row, Row]], held: Collection[str]) -> dict[str, Row]:
         """Assign pulses backwards to vehicles that say they have turned around, at most one to one.
@@ -765,7 +840,8 @@ class Ledger:
     def _others_per_s(self, now_ns: int) -> Mapping[str, float]:
         """Rate of each lane's pulses that no passage explains, as far as it has shown one; computed once a minute.
 
-        A lane in which few vehicles send CAM has many: there a pulse says less of who has caused it.
+        A lane in which few vehicles send CAM has many: there a pulse says less of who has caused it. The time is that
+        since the oldest pulse that is stored: a restart changes nothing.
         """
         if not 0 <= now_ns - self._rates_ns < RATES_NS:
             self._rates_ns = now_ns
@@ -774,7 +850,9 @@ class Ledger:
             rows = self._store.rows(
                 "SELECT lane, COUNT(*) AS n FROM pulse WHERE done = 2 AND sampled_ns > ? GROUP BY lane", from_ns
             )
-            prior_s, seen_s = RATE_PRIOR_S, max((now_ns - max(self._started_ns, from_ns)) / NS, 0.0)
+            oldest = self._store.row("SELECT MIN(sampled_ns) AS ns FROM pulse WHERE sampled_ns > ?", from_ns)
+            since_ns = now_ns if oldest is None or oldest["ns"] is None else oldest["ns"]
+            prior_s, seen_s = RATE_PRIOR_S, max((now_ns - since_ns) / NS, 0.0)
             counts = {row["lane"]: row["n"] for row in rows}
             self._rates = {
                 lane: max(
@@ -793,7 +871,8 @@ class Ledger:
         held = self._store.row("SELECT crossed FROM held WHERE passage_id = ?", row["passage_id"])
         crossed = self._read(TollPassage, held["crossed"], row["passage_id"]) if held else None
         within_ns = round(TIGHT_SD * hypot(row["sd_s"], self._settings.detector_sd_s) * NS)
-        explains = around.times.near(row["lane"], row["crossing_ns"], within_ns)
+        near_it = around.times.near(row["lane"], row["crossing_ns"], within_ns)
+        explains = [key for key in near_it if around.is_free(key, row["number"])]
         owned = around.ownership(row) if row["state"] == PassageState.HELD else None
         if owned is not None and owned.probability >= self._settings.counted_probability:
             pulse = around.matched.pulses[owned.pulse.key]
@@ -807,6 +886,8 @@ class Ledger:
             authenticated=bool(row["authenticated"]),
             pulse=None if pulse is None else pulse["rowid"],
             explains=frozenset(explains),
+            has_second=pulse is not None
+            and not all(is_one_vehicle(_keyed(pulse), _keyed(around.matched.pulses[key])) for key in explains),
             is_counted=row["state"] != PassageState.HELD
             or (owned is not None and owned.probability >= self._settings.counted_probability),
             probability=None if owned is None else owned.probability,
@@ -1065,6 +1146,7 @@ class Ledger:
         """
         message = self._read(TollPassage, row["statement"], row["passage_id"])
         why = explain(Code.NO_STATEMENT)
+        silent_ns = message.sampled_ns + round(self._settings.silence_limit_s * NS)
         if not self._is_as_sealed("passage", row):
             self._settle(message, PassageState.SUSPECT, stated(explain(Code.CHANGED)), now_ns)
             return
@@ -1072,19 +1154,20 @@ class Ledger:
         if message.crossing_ns is not None:
             crossed = self._read(TollPassage, row["crossed"], row["passage_id"]) if row["crossed"] else message
             self._leave_to_person(message, crossed, registrations, why, now_ns)
-        elif (pulse := self._unexplained_pulse(message)) is not None:
+        elif (pulse := self._unexplained_pulse(message, self._matched(), message.opened_ns, silent_ns)) is not None:
             self.pictures.disputed(pulse)
             self._settle(message, PassageState.SUSPECT, stated(why), now_ns, contracts_of(registrations))
         else:
             self._settle(message, PassageState.VOID, stated(why), now_ns)
 
-    def _unexplained_pulse(self, message: TollPassage) -> Row | None:
-        """Find the first pulse that a passage without crossing may own: of its time, and of no crossing."""
-        matched, lanes = self._matched(), {lane.lane for lane in message.lanes}
-        until_ns = message.sampled_ns + round(self._settings.silence_limit_s * NS)
+    def _unexplained_pulse(
+        self, message: TollPassage, matched: PulseMatches, from_ns: int, until_ns: int
+    ) -> Row | None:
+        """Find the first pulse that a passage may own within a time: of one of its lanes, and of no crossing."""
+        lanes = {lane.lane for lane in message.lanes}
         free = [
             row for key, row in matched.pulses.items()
-            if key not in matched.found and not row["backward"] and message.opened_ns <= row["sampled_ns"] <= until_ns
+            if key not in matched.found and not row["backward"] and from_ns <= row["sampled_ns"] <= until_ns
             and (not lanes or row["lane"] in lanes)
         ]  # fmt: skip
         return min(free, key=lambda row: int(row["sampled_ns"]), default=None)
@@ -1622,6 +1705,10 @@ def _balance(lane: str, hour_ns: int, counts: Mapping[str, int]) -> LaneBalance:
 def _crossing(row: Row) -> Crossing:
     modes = tuple(Mode(*mode) for mode in json.loads(row["modes"]))
     return Crossing(row["number"], row["crossing_ns"], row["sd_s"], row["lane"], json.loads(row["lanes"]), modes)
+
+
+def _keyed(row: Row) -> Pulse:
+    return Pulse(row["rowid"], row["lane"], row["sampled_ns"])
 
 
 def _modes_of(modes: Sequence[CrossingMode]) -> list[tuple[float, float, dict[str, float]]]:

@@ -11,6 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 MINIMUM_PROBABILITY = 1e-3  # of a lane that the posterior excludes: detectors contradict it rarely, not never
 OUTLIERS = 0.01  # share of pulses whose time errs by more than is stated, uniformly within the gate
+ONE_VEHICLE_NS = 600_000_000  # pulses of a lane less apart are one vehicle's: a double axle
 NEAR = 16  # pulses and crossings around one crossing that are judged together
 
 FloatArray = npt.NDArray[np.float64]
@@ -65,10 +66,10 @@ class PulseModel:
 
 @dataclass(frozen=True)
 class Ownership:
-    """The lane in which a crossing was counted."""
+    """The pulse with which a crossing was counted."""
 
     pulse: Pulse
-    probability: float  # that it was counted, and in this lane
+    probability: float  # that it was counted, and by this pulse
 
 
 def match(
@@ -190,7 +191,7 @@ def near(crossing: Crossing, times_ns: Mapping[int, int]) -> list[int]:
 def ownership(
     crossing: Crossing, pulses: Sequence[Pulse], rivals: Sequence[Crossing], model: PulseModel
 ) -> Ownership | None:
-    """Find the lane in which a crossing was counted, with all crossings around it.
+    """Find the pulse with which a crossing was counted, with all crossings around it.
 
     Parameters
     ----------
@@ -206,7 +207,7 @@ def ownership(
     Returns
     -------
     Ownership or None
-        Its pulse in the best assignment, and the probability of its lane; None if it has no pulse there.
+        Its pulse in the best assignment, and the probability of that; None if it has no pulse there.
 
     Notes
     -----
@@ -218,24 +219,33 @@ def ownership(
     Where the vehicle's receiver may err in several ways h, p N is Σ_h p_j(h, lane_i) N(Δt - Δ_h; 0, σ_h² + σ_d²);
     m is the share of vehicles that detectors miss, λ the rate of pulses of a lane that belong to no crossing, ε
     the share of times that err by more than they state, within the gate T. The best assignment has the largest sum of
-    worths W. Against the crossing's lane stand the best assignments in which it has a pulse of another lane, or none::
+    worths W. Against the crossing's pulse stand the best assignments in which it has another one, or none::
 
-        P = exp(W) / (exp(W) + Σ_other lanes exp(W_l) + exp(W_none))
+        P = exp(W) / (exp(W) + Σ_other pulses exp(W_i) + exp(W_none))
+
+    Pulses of one lane less than 0.6 s apart are those of one vehicle, and the best of them counts.
     """
     worth = np.array([[_worth(each, pulse, model) for pulse in pulses] for each in rivals])
     rest = np.maximum(worth.reshape(len(rivals), len(pulses)), 0.0)
     none = _best(rest)
-    found: dict[str, tuple[float, int]] = {}  # the best sum of worths of each lane, and the pulse
+    found: list[tuple[float, int]] = []  # the best sum of worths with each pulse
     for index, pulse in enumerate(pulses):
         if np.isfinite(own := _worth(crossing, pulse, model)):
-            total = own + _best(np.delete(rest, index, axis=1))
-            if total > found.get(pulse.lane, (-np.inf, 0))[0]:
-                found[pulse.lane] = total, index
-    best, chosen = max(found.values(), default=(-np.inf, 0))
-    if best <= none:
+            found.append((own + _best(np.delete(rest, index, axis=1)), index))
+    vehicles: list[tuple[float, int]] = []  # the best pulse of each
+    for total, index in sorted(found, key=lambda each: (-each[0], each[1])):
+        if not any(is_one_vehicle(pulses[index], pulses[other]) for _, other in vehicles):
+            vehicles.append((total, index))
+    if not vehicles or vehicles[0][0] <= none:
         return None
-    against = exp(none - best) + sum(exp(total - best) for total, _ in found.values())  # 1 of it is the best itself
+    best, chosen = vehicles[0]
+    against = exp(none - best) + sum(exp(total - best) for total, _ in vehicles)  # 1 of it is the best itself
     return Ownership(pulses[chosen], 1.0 / against)
+
+
+def is_one_vehicle(pulse: Pulse, other: Pulse) -> bool:
+    """Whether two pulses are so near to each other that one vehicle has caused both."""
+    return pulse.lane == other.lane and abs(pulse.time_ns - other.time_ns) < ONE_VEHICLE_NS
 
 
 def _worth(crossing: Crossing, pulse: Pulse, model: PulseModel) -> float:

@@ -35,7 +35,7 @@ CREATE TABLE IF NOT EXISTS pulse (
     lane TEXT NOT NULL, since_ns INTEGER NOT NULL, number INTEGER NOT NULL, sampled_ns INTEGER NOT NULL,
     done INTEGER NOT NULL DEFAULT 0,  -- 1: a passage or a payment explains it; 2: none does
     backward INTEGER NOT NULL DEFAULT 0,  -- the vehicle drove backwards, by a detector that states that
-    owner TEXT,  -- of a pulse backwards: the passage that it has excused
+    owner TEXT,  -- the passage whose charge it has confirmed; of a pulse backwards: that it has excused
     PRIMARY KEY (lane, since_ns, number)
 );
 CREATE TABLE IF NOT EXISTS crossing (

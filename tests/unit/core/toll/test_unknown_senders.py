@@ -138,3 +138,27 @@ def test_one_track_keeps_few_frames_before_its_passage_and_no_more_than_evidence
     for number in range(500):
         waiting.keep((number, number, bytes(1000), "unsigned", None))
     assert waiting.frame_bytes == len(waiting.frames) * 1000 == tracks.TRACK_BYTES
+
+
+def test_unsigned_frames_stop_no_continuation_of_an_authenticated_vehicle_and_take_none_over() -> None:
+    """A ghost behind it falls silent with it, and another one appears where it goes on under its next ticket."""
+    plant = Plant(COMMON)
+    plant.register(7, 70)
+    ghost = Vehicle(8, "n2", start=CAR.start - 3.0, error=COMMON)
+    after = replace(CAR.named(70), extra={**TICKETED, "signer": "0123456789abcdef"})
+    plant.drive(CAR, ghost, until=8.0)
+    plant.drive(after, replace(ghost, station_id=9, start=CAR.start - 1.0), since=8.0, until=20.0)
+    known = [passage for passage in plant.passages if passage.authenticated]
+    assert known[-1].station_ids == (7, 70) and known[-1].state.is_final
+    assert plant.core.rejected["ambiguous_continuation"] == 0
+
+
+def test_a_track_that_is_deleted_keeps_no_others_alive() -> None:
+    plant = Plant(COMMON)
+    kept = list[tracks.Track]()
+    for n in range(12):  # a chain of station IDs, each of which appears where the one before would be
+        plant.drive(CAR.named(100 + n), since=0.3 * n, until=0.3 * (n + 1))
+        kept += [track for track in plant.core._table.tracks if track not in kept]
+    plant.drive(since=3.6, until=60.0)
+    assert len(kept) > 5 and not plant.core._table.tracks
+    assert all(track.predecessor is None and not track.others for track in kept)

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
+from services.core.toll.codes import Code as SilentCode
 from services.monitoring.ledger.confirmation import Claim, Verdict, groups, judge
 from services.monitoring.ledger.ledger import Ledger, Settings
 from services.monitoring.ledger.pack import pack_faults
@@ -20,12 +21,13 @@ from shared.messages.toll import (
     LaneProbability,
     LedgerState,
     PassageState,
+    PictureAction,
     TollReview,
     TransactionKind,
 )
 from shared.unpacked import MIN_LIMIT_BYTES
 from tests.support.cases import each
-from tests.support.v2x.tolling import COUNTED, NS, START_NS, Vehicle, answer, ledger_at
+from tests.support.v2x.tolling import COUNTED, NS, START_NS, STATION, Vehicle, answer, ledger_at
 
 OPEN, CROSSED, CHARGED = PassageState.OPEN, PassageState.CROSSED, PassageState.CHARGED
 HELD, SUSPECT, UNREGISTERED = PassageState.HELD, PassageState.SUSPECT, PassageState.UNREGISTERED
@@ -182,6 +184,89 @@ def test_a_pulse_two_seconds_away_is_that_of_another_vehicle(gate: Gate) -> None
     gate.end(car)
     assert gate.outcome(car, EXIT_S + 31) is SUSPECT
     assert not gate.state(car).transactions
+
+
+def test_a_second_pulse_of_its_lane_leaves_a_passage_to_a_person(gate: Gate) -> None:
+    car = gate.vehicle("a")
+    gate.pulse(car, -0.55)
+    gate.pulse(car, 0.5)
+    gate.end(car, crossing_sd_s=0.5)
+    assert gate.outcome(car) is HELD
+    assert gate.outcome(car, EXIT_S + 31) is SUSPECT and not gate.state(car).transactions
+    review = gate.reviews()[car.passage_id]
+    assert review.reason_code and review.reason_code.code == "ledger.unsure"
+    assert float(str(review.reason_code.values["probability"])) == pytest.approx(
+        0.525, abs=2e-3
+    )  # of two normal densities
+
+
+def fall_silent(gate: Gate, car: Vehicle) -> None:
+    """The statement on a vehicle whose radio fell silent before the gate line."""
+    gate.ledger.register(car.registration(), car.opened_ns)
+    gate.ledger.passage(
+        car.says(
+            PassageState.VOID, car.crossing_ns + 5 * NS, lane=None, lanes=LANES, crossing_ns=car.crossing_ns,
+            crossing_sd_s=1.0, reason="silent", reason_code=explain(SilentCode.SILENT_BEFORE),
+        ), car.crossing_ns + 5 * NS,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("lane", "after_s", "state"),
+    [
+        ("n1", 8.0, SUSPECT), ("n2", 110.0, SUSPECT), ("n2", 119.5, PassageState.VOID), ("n3", 8.0, PassageState.VOID),
+        ("n2", -8.0, PassageState.VOID),
+    ],
+)  # fmt: skip
+def test_a_pulse_after_a_stand_without_radio_before_the_line_is_reviewed(
+    gate: Gate, lane: str, after_s: float, state: PassageState
+) -> None:
+    car = gate.vehicle("a")
+    fall_silent(gate, car)
+    gate.work(car, 6.0)
+    gate.pulse(replace(car, lane=lane), after_s)
+    for at_s in (40.0, 100.0, 145.0, 160.0):
+        assert gate.work(car, at_s)
+    assert gate.outcome(car, 161.0) is state and gate.state(car, 161.0).held == 0
+    codes = [review.reason_code.code for review in gate.reviews().values() if review.reason_code]
+    assert codes == (["ledger.silent_counted"] if state is SUSPECT else [])
+    assert state is not SUSPECT or gate.ledger.pictures.count(PictureAction.KEEP) == 1
+
+
+def test_a_vehicle_that_comes_back_after_its_silence_and_is_charged_is_not_reviewed(gate: Gate) -> None:
+    car, back = gate.vehicle("a"), gate.vehicle("a again", 40.0, station_ids=(STATION,))
+    fall_silent(gate, car)
+    gate.pulse(back)
+    gate.ledger.register(back.registration(), back.opened_ns)
+    gate.end(replace(back, opened_ns=back.crossing_ns - 10 * NS))
+    gate.pulse(replace(back, lane="n1"), 20.0)  # of a vehicle that sends nothing
+    assert gate.outcome(back, 31.0) is CHARGED
+    assert gate.outcome(car, 161.0) is PassageState.VOID and gate.reviews() == {}
+
+
+def test_one_pulse_confirms_one_charge(gate: Gate) -> None:
+    first, second = gate.vehicle("a"), gate.vehicle("b", 15.2)
+    gate.pulse(first)
+    gate.end(first, crossing_sd_s=1.0)
+    assert gate.outcome(first) is CHARGED
+    gate.end(second, crossing_sd_s=0.1)  # nearer to the pulse than its own crossing was stated to be
+    assert gate.outcome(second, EXIT_S + 31) is SUSPECT and gate.state(second).transactions == 1
+    owners = [row["owner"] for row in gate.store.rows("SELECT owner FROM pulse")]
+    assert owners == [first.passage_id]
+
+
+def test_a_restart_changes_no_probability(tmp_path: Path) -> None:
+    path, rates = tmp_path / "ledger.sqlite", list[object]()
+    for start_s in (0, 700):
+        ledger, store = ledger_at(path, START_NS + start_s * NS, counted=True)
+        for number in range(0 if start_s else 60):
+            at = Vehicle(crossing_ns=START_NS + 10 * number * NS)
+            ledger.detect(at.pulse(number), at.crossing_ns)
+        for now_s in (800, 860):
+            ledger.reconcile(START_NS + now_s * NS)
+        rates.append(dict(ledger._others_per_s(START_NS + 930 * NS)))
+        store.close()
+    assert rates[0] == rates[1] and max(rates[0].values()) > 0.04  # type: ignore[attr-defined]
 
 
 def test_a_void_statement_ends_what_is_held(gate: Gate) -> None:
@@ -438,6 +523,8 @@ def test_passages_are_grouped_over_a_third_one() -> None:
         ({}, Verdict.STANDS),
         ({"pulse_sds": 3.1}, Verdict.WAITS),
         ({"pulse_sds": 3.1, "waited": True}, Verdict.STANDS),
+        ({"has_second": True}, Verdict.WAITS),
+        ({"has_second": True, "waited": True}, Verdict.STANDS),
         ({"pulse_sds": None}, Verdict.WAITS),
         ({"pulse_sds": None, "waited": True}, Verdict.REVIEW),
         ({"has_detector": False, "pulse_sds": None}, Verdict.STANDS),

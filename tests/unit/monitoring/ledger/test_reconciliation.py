@@ -197,9 +197,12 @@ def test_pulses_near_a_crossing_are_those_of_its_lane_and_time() -> None:
 MODEL = PulseModel(detector_sd_s=0.1, gate_s=5.0)
 
 
-def best_by_trying(crossings: list[Crossing], pulses: list[Pulse]) -> dict[str | None, float]:
-    """Likelihood of the best assignment for each lane of the first crossing, by trying all of them."""
-    found: dict[str | None, float] = {}
+def best_by_trying(crossings: list[Crossing], pulses: list[Pulse]) -> dict[Pulse | None, float]:
+    """Likelihood of the best assignment for each pulse of the first crossing, by trying all of them.
+
+    Of pulses of one lane less than 0.6 s apart, the most likely one stands for all.
+    """
+    found: dict[Pulse | None, float] = {}
     for chosen in itertools.product([None, *pulses], repeat=len(crossings)):
         taken = [pulse.key for pulse in chosen if pulse]
         if len(set(taken)) < len(taken):
@@ -213,16 +216,21 @@ def best_by_trying(crossings: list[Crossing], pulses: list[Pulse]) -> dict[str |
             lane = max(crossing.lanes.get(pulse.lane, 0.0), 1e-3)
             normal = np.exp(-0.5 * away_s**2 / variance) / np.sqrt(2.0 * np.pi * variance)
             likelihood *= (1.0 - MODEL.missed) * lane * (0.99 * normal + 0.01 / 10.0) * (abs(away_s) <= 5.0)
-        own = chosen[0].lane if chosen[0] else None
-        found[own] = max(found.get(own, 0.0), likelihood)
-    return found
+        found[chosen[0]] = max(found.get(chosen[0], 0.0), likelihood)
+    kept: dict[Pulse | None, float] = {}
+    for own in sorted(found, key=lambda own: -found[own]):
+        if own is None or not any(
+            other and other.lane == own.lane and abs(other.time_ns - own.time_ns) < 600_000_000 for other in kept
+        ):
+            kept[own] = found[own]
+    return kept
 
 
-def test_the_lane_of_a_crossing_is_that_of_the_best_assignment_of_all_around_it() -> None:
+def test_the_pulse_of_a_crossing_is_that_of_the_best_assignment_of_all_around_it() -> None:
     rng = np.random.default_rng(11)
     sure = 0
     for _ in range(60):
-        pulses = [Pulse(n, f"n{rng.integers(1, 4)}", int(rng.normal(0.0, 0.3) * NS)) for n in range(rng.integers(1, 5))]
+        pulses = [Pulse(n, f"n{rng.integers(1, 4)}", int(rng.normal(0.0, 0.5) * NS)) for n in range(rng.integers(1, 5))]
         crossings = [
             Crossing(
                 n, int(rng.normal(0.0, 0.3) * NS), float(rng.uniform(0.05, 0.3)), None,
@@ -231,13 +239,24 @@ def test_the_lane_of_a_crossing_is_that_of_the_best_assignment_of_all_around_it(
             for n in range(rng.integers(1, 4))
         ]  # fmt: skip
         likelihoods = best_by_trying(crossings, pulses)
-        best = max(likelihoods, key=lambda lane: likelihoods[lane])
+        best = max(likelihoods, key=lambda own: likelihoods[own])
         found = ownership(crossings[0], pulses, crossings[1:], MODEL)
-        assert (found.pulse.lane if found else None) == best
+        assert (found.pulse if found else None) == best
         if found:
             assert found.probability == pytest.approx(likelihoods[best] / sum(likelihoods.values()), rel=1e-9)
             sure += found.probability > 0.99
     assert 5 < sure < 55
+
+
+def test_two_pulses_of_a_lane_about_one_crossing_leave_it_open_which_is_its_own() -> None:
+    crossing = Crossing(7, 0, 0.5, "n1", {"n1": 0.995})
+    before, after = Pulse(1, "n1", -550_000_000), Pulse(2, "n1", 500_000_000)
+    share = 1.0 / (1.0 + np.exp(-0.5 * (0.55**2 - 0.5**2) / (0.5**2 + 0.1**2)))  # of the two normal densities
+    both, alone = ownership(crossing, [before, after], [], MODEL), ownership(crossing, [after], [], MODEL)
+    assert both and both.pulse is after and both.probability == pytest.approx(share, abs=2e-3)
+    assert alone and alone.probability > 0.99
+    axles = ownership(crossing, [after, Pulse(3, "n1", 900_000_000)], [], MODEL)
+    assert axles and axles == alone
 
 
 def test_a_vehicle_that_sends_nothing_beside_an_undecided_one_leaves_its_lane_open() -> None:
