@@ -22,6 +22,13 @@ from .reconciliation import Crossing, Mode, Pulse, PulseModel, ownership
 from .registrations import contracts_of, identities_of
 
 SD_GATE = 3.0  # standard deviations of the crossing within which a pulse may be its own
+EARLIER_VERSIONS = {"1", "2"}  # of the algorithms: the ledgers of then kept no assignment of pulses
+CHARGES = (Code.CONFIRMED, Code.ALONE, Code.LANE_BY_PULSE, Code.UNCONFIRMED)
+ASSIGNED = (Code.CONFIRMED, Code.LANE_BY_PULSE)  # follow from the pulses and passages around
+# What a ledger may be set to. Beyond these an assignment says nothing: whatever is around it, one pulse is its own.
+LEAST_PROBABILITY, MOST_MISSED, MOST_OTHERS_PER_S = 0.5, 0.5, 10.0
+MOST_DETECTOR_SD_S, MOST_GATE_S = 1.0, 30.0
+SAME_PROBABILITY = 1e-6  # another machine's exponentials may differ in their last bits
 
 
 def pack_faults(pack: EvidencePack, plaza: Plaza) -> Iterator[str]:
@@ -44,12 +51,48 @@ def pack_faults(pack: EvidencePack, plaza: Plaza) -> Iterator[str]:
     if plaza.require_authenticated and not pack.charged.authenticated:
         yield "its CAM are not authenticated, and the plaza requires that"
     verdict = pack.verdict.code if pack.verdict else ""
+    if verdict not in CHARGES:
+        yield "its verdict is not that of a charge"
     if verdict in (Code.CONFIRMED, Code.ALONE, Code.LANE_BY_PULSE):
         yield from _pulse_faults(pack)
+    yield from _lane_faults(pack, plaza, verdict)
     if pack.charged.lane is None and (verdict != Code.LANE_BY_PULSE or pack.assignment is None):
         yield "its lane is undecided, and nothing in the pack decides it"
     if pack.assignment is not None:
+        yield from _threshold_faults(pack, pack.assignment)
         yield from _assignment_faults(pack, pack.assignment)
+
+
+def _lane_faults(pack: EvidencePack, plaza: Plaza, verdict: str) -> Iterator[str]:
+    """Name what contradicts the lane that is charged, or leaves out what confirms it."""
+    if pack.charged.lane not in (None, pack.lane):
+        yield "the lane that is charged is not that of the final statement"
+    lane = next((lane for lane in plaza.lanes if lane.name == pack.lane), None)
+    if lane is None:
+        yield "the plaza has no such lane"
+    elif verdict == Code.UNCONFIRMED and lane.detector:
+        yield "its lane has a detector, which has not confirmed it"
+    evidence = pack.crossed.evidence
+    is_earlier = evidence is not None and evidence.version in EARLIER_VERSIONS
+    if verdict in ASSIGNED and pack.assignment is None and not is_earlier:
+        yield "it was confirmed by a detector, and the pack does not have the pulses and passages around it"
+
+
+def _threshold_faults(pack: EvidencePack, given: PulseAssignment) -> Iterator[str]:
+    """Name what an assignment rests on that neither the crossing states nor a ledger may be set to."""
+    charged, crossed = pack.charged, pack.crossed
+    if (charged.lanes, charged.modes) != (crossed.lanes, crossed.modes):
+        yield "lanes and times of the final statement are not those of the crossing"
+    if (charged.crossing_sd_s or 0.0) < (crossed.crossing_sd_s or 0.0):
+        yield "the final statement is surer of the crossing time than the crossing"
+    if not (
+        LEAST_PROBABILITY < given.least_probability < 1.0
+        and 0.0 < given.missed < MOST_MISSED
+        and 0.0 < given.others_per_s <= MOST_OTHERS_PER_S
+        and 0.0 < given.detector_sd_s <= MOST_DETECTOR_SD_S
+        and 0.0 < (pack.match_gate_s or 0.0) <= MOST_GATE_S
+    ):
+        yield "its pulses were assigned by limits that no ledger may have"
 
 
 def frame_faults(pack: EvidencePack) -> Iterator[str]:
@@ -209,11 +252,16 @@ def _assignment_faults(pack: EvidencePack, given: PulseAssignment) -> Iterator[s
     ]
     pulses = [Pulse(number, pulse.lane, pulse.sampled_ns) for number, pulse in enumerate(given.pulses)]
     model = PulseModel(given.detector_sd_s, pack.match_gate_s or 0.0, given.missed, given.others_per_s)
-    found = ownership(crossing, pulses, rivals, model)
+    try:
+        found = ownership(crossing, pulses, rivals, model)
+    except (ValueError, ArithmeticError):  # of limits, which are named, that have no logarithm
+        found = None
     if found is None or found.probability < given.least_probability:
         yield "the pulses around it do not say that it was counted in its lane"
     elif (given.pulses[found.pulse.key],) != pack.pulses:
         yield "another pulse around it is more probably its own"
+    elif abs(found.probability - given.probability) > SAME_PROBABILITY:
+        yield f"its lane has the probability {found.probability:.6f} by them, and {given.probability:.6f} is said"
 
 
 def _modes(modes: Sequence[CrossingMode]) -> tuple[Mode, ...]:
