@@ -1,4 +1,4 @@
-"""Base of all measurements. A new kind is one file with one class, and one row where its message is converted."""
+"""Base of all measurements. A new kind is a module that maps its messages to functions (`KINDS`), as `kinds.py` reads."""
 
 from collections.abc import Callable, Iterator, Mapping
 from enum import Enum, auto
