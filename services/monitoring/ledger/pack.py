@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 
 from shared.errors import RejectedFrame
 from shared.messages.toll import CrossingMode, EvidenceFrame, EvidencePack, LaneProbability, PulseAssignment
+from shared.messages.v2x import Unverified
 from shared.toll.plaza import Plaza
 from shared.toll.registration import certificate_of, fault_of, identity_of
 from shared.v2x import its_time
@@ -145,11 +146,12 @@ class ChainNote:
     is_fault: bool
 
 
-def chain_notes(pack: EvidencePack, store: TrustStore) -> Iterator[ChainNote]:
+def chain_notes(pack: EvidencePack, store: TrustStore, now_s: float) -> Iterator[ChainNote]:
     """Judge the chain above each ticket of an authenticated charge by certificates and lists of today.
 
-    The pack has the certificates of the tickets, and each names its authority. A revocation that was issued after the
-    crossing takes nothing from the charge, and is named.
+    The pack has the certificates of the tickets, and each names its authority. A revocation of which a list shows that
+    it came after the crossing takes nothing from the charge, and is named. Of a charge that is not authenticated
+    nothing can be judged: no note.
 
     Parameters
     ----------
@@ -157,26 +159,36 @@ def chain_notes(pack: EvidencePack, store: TrustStore) -> Iterator[ChainNote]:
         The pack.
     store : TrustStore
         Certificates and lists of a folder.
+    now_s : float
+        [s] ITS time at which the lists ought to be valid.
     """
+    if not (pack.charged.authenticated or pack.crossed.authenticated):
+        return
     time_s = _signed_time_s(pack)
     if time_s is None:
+        yield ChainNote("no signed frame says when the vehicle crossed: its chain cannot be judged", is_fault=True)
         return
-    tickets = {
+    certificates = {
         registration.ticket: certificate_of(registration.certificate)
         for registration in pack.registrations if registration.ticket and registration.certificate
     }  # fmt: skip
-    for ticket in sorted(set(pack.charged.tickets) & tickets.keys()):
-        certificate = tickets[ticket]
-        name = (certificate.issuer or b"").hex()
-        issuer = store.issuers.get(certificate.issuer or b"")
-        if issuer is None:
+    tickets = sorted({*pack.charged.tickets, *pack.crossed.tickets})
+    if not tickets:
+        yield ChainNote("it names no ticket: no chain can be judged", is_fault=True)
+    for ticket in tickets:
+        certificate = certificates.get(ticket)
+        name = ((certificate.issuer if certificate else None) or b"").hex()
+        issuer = store.issuers.get((certificate.issuer if certificate else None) or b"")
+        if certificate is None:
+            yield ChainNote(f"no registration has the certificate of ticket {ticket}", is_fault=True)
+        elif issuer is None:
             yield ChainNote(f"authority {name} of ticket {ticket}: not trusted by the folder", is_fault=True)
         elif not is_issued_by(certificate, issuer.certificate):
             yield ChainNote(f"authority {name} has not signed ticket {ticket}", is_fault=True)
         elif not certificate.start_s <= time_s <= certificate.end_s:
             yield ChainNote(f"ticket {ticket} was not valid at the crossing", is_fault=True)
         else:
-            yield _chain_note(issuer, name, time_s)
+            yield _chain_note(issuer, name, time_s, now_s)
 
 
 def _signed_time_s(pack: EvidencePack) -> float | None:
@@ -192,18 +204,29 @@ def _signed_time_s(pack: EvidencePack) -> float | None:
     return None
 
 
-def _chain_note(issuer: Issuer, name: str, time_s: float) -> ChainNote:
-    root, crl = issuer.root.certificate.digest.hex(), issuer.root.crl
-    chain = f"authority {name}, root {root}"
+def _chain_note(issuer: Issuer, name: str, time_s: float, now_s: float) -> ChainNote:
+    root = issuer.root
+    crl, doubt = root.crl, issuer.doubt(now_s, 0.0, is_simulated=False)
+    chain = f"authority {name}, root {root.certificate.digest.hex()}"
+    if doubt is Unverified.TEST_ROOT:
+        return ChainNote(f"{chain}: a test root, which authenticates nobody on the road", is_fault=True)
     if not all(certificate.start_s <= time_s <= certificate.end_s for certificate in issuer.chain):
         return ChainNote(f"{chain}: not valid at the crossing", is_fault=True)
     if crl is None:
         return ChainNote(f"{chain}: no list of revocations", is_fault=False)
-    issued = _date(crl.issued_s)
-    if any(certificate.digest in crl.revoked for certificate in issuer.chain):
-        is_since = crl.issued_s > time_s
-        return ChainNote(f"{chain}: revoked {'since, ' if is_since else ''}by the list of {issued}", not is_since)
-    return ChainNote(f"{chain}: trusted, by the list of revocations of {issued}", is_fault=False)
+    lapsed = "; a list has expired, put newer ones into the folder" if doubt is Unverified.LISTS_EXPIRED else ""
+    by_list = f"by the list of {_date(crl.issued_s)}"
+    revoked = [certificate.digest for certificate in issuer.chain if certificate.digest in crl.revoked]
+    if not revoked:
+        text, is_fault = f"trusted, by the list of revocations of {_date(crl.issued_s)}", False
+    elif crl.issued_s <= time_s:
+        text, is_fault = f"revoked {by_list}", True
+    elif all(root.is_revoked_since(digest, time_s) for digest in revoked):
+        text, is_fault = f"revoked since, {by_list}", False
+    else:
+        unknown = "since when is not known: an older list, issued after the crossing, would say"
+        text, is_fault = f"revoked {by_list}, {unknown}", True
+    return ChainNote(f"{chain}: {text}{lapsed}", is_fault)
 
 
 def _date(its_s: int) -> str:
