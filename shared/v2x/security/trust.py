@@ -218,8 +218,8 @@ def _roots(files: _Files, *, is_test: bool) -> Iterator[Root]:
         found = {certificate.digest: (certificate, None) for certificate in whole if certificate.grants}
     crls = _lists_of(files, lists.REVOKED, [root for root, _ in found.values()], CRL_PSID)
     for digest, (root, until_s) in found.items():
-        *earlier, crl = crls.get(digest) or [None]
-        yield Root(root, is_test, until_s, crl, tuple(filter(None, earlier)))
+        of_root = crls.get(digest, [])
+        yield Root(root, is_test, until_s, of_root[-1] if of_root else None, tuple(of_root[:-1]))
 
 
 def _issuers(files: _Files, roots: dict[bytes, Root]) -> Iterator[Issuer]:
