@@ -2,6 +2,7 @@
 
 import hashlib
 import sqlite3
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -14,15 +15,16 @@ from rich.console import Console
 
 from services.core.toll.core import VERSION, derive
 from services.core.toll.settings import Settings
-from services.monitoring.ledger.pack import chain_notes, frame_faults, pack_faults
+from services.monitoring.ledger.pack import EARLIER_VERSIONS, chain_notes, frame_faults, pack_faults
 from services.monitoring.ledger.proof import pack_fault, prove_ledger
 from shared.bounded import SizeExceeded, read_bytes
 from shared.errors import ConfigError, RejectedFrame, UserError
 from shared.evidence import KeyRing, Outcome
-from shared.evidence.outcome import gravest
+from shared.evidence.outcome import OTHER_RELEASE, gravest
 from shared.messages.toll import EvidencePack, PassageState, TollPassage, TollTransaction
 from shared.toll.plaza import parse_plaza
 from shared.unpacked import MIN_LIMIT_BYTES, BadPack, unpacked
+from shared.v2x import its_time
 from shared.v2x.evidence import cam_of
 from shared.v2x.security.trust import TrustStore, load
 
@@ -76,8 +78,9 @@ def verify_toll(
     it, the confirmation from the pulse in it, its lane from the pulses around it where the CAM leave it open. Of an
     authenticated charge the signature of every frame is verified; with `--trust` also its authority and root, and
     whether they are revoked, then or since. Of a ledger every booking is compared with the signed chain.
-    Ends with 1 if a charge does not follow from its evidence, 3 unsigned, 5 edited, 6 signed by an unknown key. The
-    graver one counts: 5, 6, 1, 3.
+    Ends with 1 if a charge does not follow from its evidence, or --trust has no chain to judge, 3 unsigned, 5 edited,
+    6 signed by an unknown key, 8 if only the release that made it can derive a charge again. The graver one counts: 5,
+    6, 1, 3, 8.
 
     Examples:
     [bold]obu verify-toll .obu/toll/ledger.sqlite[/]
@@ -88,7 +91,8 @@ def verify_toll(
     ring = accepted_keys(key)
     seals = [text for path in seal or () for text in _bytes(path).decode(errors="replace").splitlines() if text.strip()]
     store = None if trust is None else _trusted(trust)
-    wrong = number = 0
+    now_s = its_time.its_time_ms(time.time_ns()) / 1000.0
+    wrong = number = judged = of_earlier = 0
     outcomes: list[Outcome] = []
     with progress_on(Console(stderr=True)) as progress:
         packs = (each for path in evidence for each in _checked(path, ring, outcomes, seals))
@@ -100,10 +104,13 @@ def verify_toll(
                 continue
             number += 1
             outcomes.append(outcome)
-            notes = [] if pack is None or store is None else list(chain_notes(pack, store))
+            notes = [] if pack is None or store is None else list(chain_notes(pack, store, now_s))
             problems = [item.damage] if pack is None else differences_of(item, pack)
             problems += [note.text for note in notes if note.is_fault]
-            wrong += bool(problems) or outcome in (Outcome.EDITED, Outcome.FOREIGN)
+            is_wrong = bool(problems) or outcome in (Outcome.EDITED, Outcome.FOREIGN)
+            wrong += is_wrong
+            of_earlier += not is_wrong and pack is not None and is_of_earlier(pack)
+            judged += bool(notes)
             _print(passage_id, pack, problems, text)
             for note in notes:
                 if not note.is_fault:
@@ -113,9 +120,16 @@ def verify_toll(
                 (export / f"{passage_id}.json").write_bytes(with_seal(item))
     if not number and gravest(outcomes) is Outcome.VERIFIED:
         raise UserError(f"no evidence of {passage or 'a charge'} in {', '.join(map(str, evidence))}")
-    print(f"{number - wrong} of {number} charges verified")
+    print(f"{number - wrong - of_earlier} of {number} charges verified")
+    if of_earlier:
+        print(f"{of_earlier} of an earlier version: their lane and crossing by the release that made them")
+    if store is not None and not judged:
+        print("no charge is authenticated: --trust has judged no chain; leave it out, or name authenticated charges")
+        wrong += 1
     outcome = gravest(outcomes)
-    return 1 if wrong and outcome in (Outcome.VERIFIED, Outcome.UNSIGNED) else outcome
+    if wrong and outcome in (Outcome.VERIFIED, Outcome.UNSIGNED):
+        return 1
+    return OTHER_RELEASE if of_earlier and outcome is Outcome.VERIFIED else outcome
 
 
 def _trusted(folder: Path) -> TrustStore:
@@ -133,6 +147,10 @@ def _print(passage_id: str, pack: EvidencePack | None, problems: list[str], sign
         print("  ".join([passage_id, *problems, *([signature] if signature else [])]))
         return
     good = "lane verified, of a continued passage" if is_continued(pack) else "verified"
+    if is_of_earlier(pack) and not problems:
+        version = pack.crossed.evidence.version if pack.crossed.evidence else ""
+        good = f"of version {version} of the algorithms: verify lane and crossing with the release that made it"
+        signature = signature and f"{good}; {signature.removeprefix('verified, ')}"
     said = [*problems, signature] if signature and problems else problems or [signature or good]
     print(f"{passage_id}  lane {pack.lane}  {'; '.join(said)}")
 
@@ -287,6 +305,8 @@ def _derivation(pack: EvidencePack) -> Iterator[str]:
     if evidence is None:
         yield "the crossing has no evidence"
         return
+    if is_of_earlier(pack):
+        return
     if evidence.version != VERSION:
         yield f"derived by version {evidence.version} of the algorithms, this is {VERSION}"
     settings = Settings.model_validate_json(evidence.settings)
@@ -303,6 +323,12 @@ def _derivation(pack: EvidencePack) -> Iterator[str]:
     yield from _compared(again, pack.crossed, COMPARED if not continued else ("lane",))
     if pack.charged.lane != pack.crossed.lane or pack.charged.crossing_ns != pack.crossed.crossing_ns:
         yield "the final statement differs from that of the crossing"
+
+
+def is_of_earlier(pack: EvidencePack) -> bool:
+    """Whether earlier algorithms made the evidence: these ones derive another crossing, which says nothing of it."""
+    evidence = pack.crossed.evidence
+    return evidence is not None and evidence.version in EARLIER_VERSIONS
 
 
 def is_continued(pack: EvidencePack) -> bool:

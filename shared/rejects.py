@@ -48,6 +48,7 @@ OF_DEVICES = {
     "neighbour_unsigned": Reason(
         "an unsigned CAM of a station whose signed ones are received", "somebody sends under its identity"
     ),
+    "neighbour_impossible": Reason("a CAM of a place or motion that cannot be", _NONE),
     "frame_length": Reason("a V2X frame without content, or longer than a frame can be", "check the link to the radio"),
     "queue_full": Reason("V2X frames that came faster than they are taken", "check the load of this computer"),
     "ubx_*": Reason("raw measurements that cannot be", "bring the receiver's firmware up to date"),

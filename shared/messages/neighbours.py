@@ -39,7 +39,8 @@ class Neighbour(Message):
     oscillator_offset: Ratio | None = None  # fractional frequency offset of its transmitter, as it published it
     cfo_hz: Quantity | None = None  # measured by this unit's radio
     cfo_sd_hz: Deviation | None = None
-    authenticated: Annotated[bool, Field(exclude_if=lambda value: not value)] = False  # by the signature of its CAM
+    # By the signature of its CAM, if it was received in one; None: by other means, or of an earlier release.
+    authenticated: Annotated[bool | None, Field(exclude_if=lambda value: value is None)] = None
 
 
 class NeighbourStates(StampedMessage):

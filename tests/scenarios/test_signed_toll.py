@@ -63,19 +63,39 @@ def test_a_signed_vehicle_is_charged_as_authenticated(tmp_path: Path) -> None:
 def check_chain(pack: EvidencePack, folder: Path) -> None:
     """The authority of a charge is judged by the lists of then, and what was revoked since takes nothing from it."""
     start_s = its_time.its_time_ms(UTC_NS) // 1000
-    for name, revoked, issued_s, is_fault, text in (
-        ("trusted", (), start_s, False, "trusted, by the list of revocations of"),
-        ("then", (PKI.authority.certificate.digest,), start_s, True, "revoked by the list of"),
-        ("since", (PKI.authority.certificate.digest,), start_s + 86_400, False, "revoked since, by the list of"),
+    day_s, ours = 86_400, (PKI.authority.certificate.digest,)
+    then, later, last = start_s - 1, start_s + day_s, start_s + 2 * day_s
+    for name, lists, is_fault, text in (
+        ("trusted", [(then, ())], False, "trusted, by the list of revocations of"),
+        ("then", [(then, ours)], True, "revoked by the list of"),
+        ("reissued", [(last, ours)], True, "since when is not known"),
+        ("before", [(then, ()), (last, ours)], True, "since when is not known"),
+        ("since", [(later, ()), (last, ours)], False, "revoked since, by the list of"),
+        ("repeated", [(later, ours), (last, ours)], True, "since when is not known"),
     ):
-        crl = signing.revocation_list(PKI.root, issued_s, start_s + 100 * 86_400, revoked)
         folder_of = PKI.write(folder / name)
-        (folder_of / "crl").write_bytes(crl)
-        (note,) = chain_notes(pack, load(folder_of))
+        (folder_of / "crl").unlink()
+        for number, (issued_s, revoked) in enumerate(lists):
+            crl = signing.revocation_list(PKI.root, issued_s, start_s + 100 * day_s, revoked)
+            (folder_of / f"crl{number}").write_bytes(crl)
+        (note,) = chain_notes(pack, load(folder_of), last)
         assert (note.is_fault, text in note.text) == (is_fault, True), note
+    (note,) = chain_notes(pack, load(folder / "trusted"), start_s + 101 * day_s)
+    assert not note.is_fault and "a list has expired" in note.text
+    PKI.write(folder / "simulated" / "test")
+    (note,) = chain_notes(pack, load(folder / "simulated"), last)
+    assert note.is_fault and "a test root" in note.text
     (folder / "nothing").mkdir()
-    (note,) = chain_notes(pack, load(folder / "nothing"))
+    (note,) = chain_notes(pack, load(folder / "nothing"), last)
     assert note.is_fault and "not trusted by the folder" in note.text
+    trusted = load(folder / "trusted")
+    charged, crossed = (said.model_copy(update={"tickets": ()}) for said in (pack.charged, pack.crossed))
+    assert [len([*chain_notes(pack.model_copy(update=change), trusted, last)]) for change in (
+        {"charged": charged}, {"crossed": crossed})] == [1, 1], "either names the ticket"  # fmt: skip
+    (note,) = chain_notes(pack.model_copy(update={"charged": charged, "crossed": crossed}), trusted, last)
+    assert note.is_fault and "names no ticket" in note.text
+    (note,) = chain_notes(pack.model_copy(update={"registrations": ()}), trusted, last)
+    assert note.is_fault and "no registration has the certificate" in note.text
 
 
 def with_first_frame(pack: EvidencePack, data: bytes) -> EvidencePack:

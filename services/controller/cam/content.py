@@ -16,6 +16,7 @@ from math import atan2, cos, degrees, hypot, pi, radians, sin, sqrt
 import numpy as np
 import numpy.typing as npt
 
+from shared.maths.confidence import ELLIPSE_95, SCALAR_95
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference, wrap_angle
 from shared.maths.rotation import cross, ned_from_body
 from shared.messages.base import Symmetric3, Vector3
@@ -32,8 +33,6 @@ from shared.messages.v2x import (
 from shared.v2x.generation import Dynamics
 
 NS = 1_000_000_000
-SCALAR_95 = 1.959964  # standard normal distribution, two-sided
-ELLIPSE_95 = 2.447747  # sqrt of the 0.95 quantile of chi-square with 2 degrees of freedom: sqrt(-2 ln 0.05)
 SLOWEST_COURSE_M_S = 1.0  # below it the heading is that of the body, since the course is noise
 ACCELERATION_WINDOW_NS = NS // 2
 TRUST_SILENT_NS = 5 * NS

@@ -82,6 +82,10 @@ class Config(VehicleSettings):
         lt=0.5,
         description="probability with which the position without a satellite is beyond its protection level",
     )
+    unsigned_neighbours: bool = Field(
+        default=False,
+        description="also use neighbours whose CAM are not authenticated: anybody may state them",
+    )
     silent_after_s: float = Field(
         default=3.0, gt=0.0, description="time without raw measurements after which the satellites are not evaluated"
     )
@@ -92,6 +96,7 @@ class Process:
 
     def __init__(self, config: Config) -> None:
         self._silent_ns = round(config.silent_after_s * 1e9)
+        self._uses_unsigned = config.unsigned_neighbours
         self._rate, self._risk = config.false_alarm_rate, config.integrity_risk
         model = replace(ErrorModel(), elevation_mask_rad=radians(config.elevation_mask_deg))
         self._plain = SatelliteMonitor(RaimSettings(config.false_alarm_rate, config.missed_detection_rate, model=model))
@@ -241,7 +246,11 @@ class Process:
         while self._neighbours and self._neighbours[0].sampled_ns <= time_ns:
             states = self._neighbours.popleft()
             gps_time_ns = states.sampled_ns + self._gps_minus_obu_ns
-            yield from (_report(neighbour, gps_time_ns) for neighbour in states.neighbours)
+            for neighbour in states.neighbours:
+                if neighbour.authenticated is False and not self._uses_unsigned:
+                    self._rejected["neighbour_not_authenticated"] += 1
+                else:
+                    yield _report(neighbour, gps_time_ns)
 
     def _use_bits(self, message: GnssNavigationBits) -> None:
         if (message.constellation.value, message.signal) not in SIGNALS:

@@ -7,9 +7,10 @@ import json
 from datetime import UTC, datetime
 from math import degrees
 
+from shared.maths.confidence import ELLIPSE_95, SCALAR_95
 from shared.messages.gnss import Constellation, GnssSatellites
 
-from .report import ELLIPSE_95, SCALAR_95, Place, Quality, Report
+from .report import Place, Quality, Report
 
 RELEASE = "3.22"  # of gpsd, whose protocol this is: clients compare the numbers of the protocol alone
 PROTOCOL = (3, 14)  # major and minor, of that release

@@ -21,8 +21,6 @@ VERDICT_SILENT_NS = 5 * NS  # deadline of trust/state there
 ORIGIN_SILENT_NS = 10 * NS  # deadline of origin/state there
 FIX_SILENT_NS = 5 * NS  # of gnss/fix and gnss/satellites: their DOP and satellites are not of the solution any more
 MAX_PRODUCERS = 16  # of origin/state that are remembered; a unit has four
-SCALAR_95 = 1.959964  # standard normal distribution, two-sided
-ELLIPSE_95 = 2.447747  # sqrt of the 0.95 quantile of chi-square with 2 degrees of freedom: sqrt(-2 ln 0.05)
 SLOWEST_COURSE_M_S = 1.0  # below it the course is noise; the CAM has the same limit
 USABLE = (TrustLevel.SAFE, TrustLevel.CAUTION, TrustLevel.DEAD_RECKONING)
 

@@ -7,20 +7,22 @@ oscillator of 20 ppm is off by 118 kHz.
 """
 
 from collections import Counter, OrderedDict
-from math import cos, sin
+from math import cos, radians, remainder, sin
 
 import numpy as np
+from pydantic import ValidationError
 
+from shared.maths.confidence import ELLIPSE_95, SCALAR_95
 from shared.messages.neighbours import MAX_NEIGHBOURS, Neighbour, NeighbourStates
 from shared.messages.v2x import Authentication, Cam, DriveDirection, StationType
 
-ELLIPSE_95, SCALAR_95 = 2.4477, 1.9600  # of a bivariate and of a univariate normal distribution
 HEIGHT_OFFSET_SD_M = 1.0  # [m] of the receiver above the reference point, which lies on the ground
 NEWEST_S = 1.1  # [s] age of a CAM; one comes at least every second
 MAX_STATIONS = 1024
 MAX_OFFSETS = 4096  # frames whose offset is kept until their CAM is made
 PREFIX_BYTES = 48  # by which a frame is recognised, within a reception time
 ACCELERATION_SD = 1.0  # [m/s²] of a neighbour, since its CAM
+MOST_LATITUDE_DEG = 89.9995
 NS = 1_000_000_000
 
 
@@ -30,6 +32,7 @@ class ReceivedNeighbours:
     def __init__(self, rejects: Counter[str]) -> None:
         self._rejects = rejects
         self._newest: OrderedDict[int, tuple[Cam, float | None]] = OrderedDict()
+        self._unsigned: OrderedDict[int, None] = OrderedDict()  # those of them that are not authenticated, oldest first
         self._offsets: OrderedDict[tuple[int, bytes], float | None] = OrderedDict()
 
     def note_offset(self, received_ns: int, frame: bytes, cfo_hz: float | None) -> None:
@@ -48,7 +51,18 @@ class ReceivedNeighbours:
             self._rejects["neighbour_unsigned"] += 1
             return
         self._newest[cam.station_id] = cam, offset
+        self._unsigned.pop(cam.station_id, None)
+        if not _is_authenticated(cam):
+            self._unsigned[cam.station_id] = None
         while len(self._newest) > MAX_STATIONS:
+            self._evict()
+
+    def _evict(self) -> None:
+        """Forget the oldest station, one that is not authenticated first: a flood of those displaces no other."""
+        if self._unsigned:
+            station, _ = self._unsigned.popitem(last=False)
+            del self._newest[station]
+        else:
             self._newest.popitem(last=False)
 
     def states(self, now_ns: int, source: str) -> NeighbourStates | None:
@@ -56,21 +70,40 @@ class ReceivedNeighbours:
         for station, (cam, _) in list(self._newest.items()):
             if now_ns - cam.sampled_ns > NEWEST_S * NS:
                 del self._newest[station]
+                self._unsigned.pop(station, None)
         ranked = sorted(self._newest.values(), key=lambda item: (not _is_authenticated(item[0]), -item[0].received_ns))
-        found = [state for cam, offset in ranked if (state := neighbour_of(cam, offset, now_ns)) is not None]
+        found = [state for cam, offset in ranked if (state := self._state(cam, offset, now_ns)) is not None]
         if not found:
             return None
         return NeighbourStates(
             sampled_ns=now_ns, received_ns=now_ns, source=source, neighbours=tuple(found[:MAX_NEIGHBOURS])
         )
 
+    def _state(self, cam: Cam, cfo_hz: float | None, at_ns: int) -> Neighbour | None:
+        """State of a station; one that cannot be is counted, and ends no other one."""
+        try:
+            return neighbour_of(cam, cfo_hz, at_ns)
+        except (ValidationError, ArithmeticError):
+            self._rejects["neighbour_impossible"] += 1
+            return None
+
 
 def neighbour_of(cam: Cam, cfo_hz: float | None, at_ns: int) -> Neighbour | None:
-    """State of a station at a time, moved on by its velocity; None where its CAM does not state one with quality."""
+    """State of a station at a time, moved on by its velocity; None where its CAM does not state one with quality.
+
+    Within 50 m of a pole, where a heading says nothing, there is no neighbour.
+
+    Raises
+    ------
+    ValidationError
+        What it states lies beyond what a message may hold.
+    """
     ellipse = cam.position_semi_major_m, cam.position_semi_minor_m, cam.position_semi_major_orientation_rad
     position = cam.latitude_deg, cam.longitude_deg, cam.height_ellipsoid_m, cam.height_confidence_m
     motion = cam.speed_m_s, cam.speed_confidence_m_s, cam.heading_rad, cam.heading_confidence_rad
     if cam.position_out_of_range or cam.station_type is StationType.ROAD_SIDE_UNIT:
+        return None
+    if cam.latitude_deg is not None and abs(cam.latitude_deg) >= MOST_LATITUDE_DEG:
         return None
     if None in ellipse or None in position or None in motion or cam.drive_direction is DriveDirection.BACKWARD:
         return None
@@ -94,7 +127,7 @@ def neighbour_of(cam: Cam, cfo_hz: float | None, at_ns: int) -> Neighbour | None
     return Neighbour(
         station_id=cam.station_id,
         latitude_deg=latitude + moved * north / metres_a_degree,
-        longitude_deg=longitude + moved * east / (metres_a_degree * max(0.01, cos(np.radians(latitude)))),
+        longitude_deg=remainder(longitude + moved * east / (metres_a_degree * cos(radians(latitude))), 360.0),
         height_ellipsoid_m=height,
         velocity_ned_m_s=(speed * north, speed * east, 0.0),
         position_cov_ned_m2=(horizontal[0, 0], horizontal[0, 1], 0.0, horizontal[1, 1], 0.0, height_var),

@@ -51,6 +51,15 @@ class Root:
     is_test: bool
     listed_until_s: float | None = None  # end of the list of roots that has it; None: its file is trusted
     crl: TrustList | None = None
+    earlier_crls: tuple[TrustList, ...] = ()  # the others of the folder: what they lack was revoked since
+
+    def is_revoked_since(self, digest: bytes, time_s: float) -> bool:
+        """Whether a certificate that the newest list revokes was not revoked at an ITS time [s].
+
+        Each list repeats the entries of those before it, so that only one of later than that time, without the
+        certificate, says so.
+        """
+        return any(crl.issued_s > time_s and digest not in crl.revoked for crl in self.earlier_crls)
 
 
 @dataclass(frozen=True)
@@ -207,9 +216,10 @@ def _roots(files: _Files, *, is_test: bool) -> Iterator[Root]:
             files.faults.append(f"{doubtful[0]}: may be of a trust list manager, so that roots in files do not count")
     else:
         found = {certificate.digest: (certificate, None) for certificate in whole if certificate.grants}
-    crls = _newest(files, lists.REVOKED, [root for root, _ in found.values()], CRL_PSID)
+    crls = _lists_of(files, lists.REVOKED, [root for root, _ in found.values()], CRL_PSID)
     for digest, (root, until_s) in found.items():
-        yield Root(root, is_test, until_s, crls.get(digest))
+        of_root = crls.get(digest, [])
+        yield Root(root, is_test, until_s, of_root[-1] if of_root else None, tuple(of_root[:-1]))
 
 
 def _issuers(files: _Files, roots: dict[bytes, Root]) -> Iterator[Issuer]:
@@ -248,18 +258,23 @@ def _newest(
     files: _Files, kind: bytes, signers: Sequence[Certificate], psid: int
 ) -> dict[bytes, TrustList]:  # fmt: skip
     """Newest list of a kind of each signer, by its HashedId8; lists of other signers are faults."""
+    return {digest: found[-1] for digest, found in _lists_of(files, kind, signers, psid).items()}
+
+
+def _lists_of(
+    files: _Files, kind: bytes, signers: Sequence[Certificate], psid: int
+) -> dict[bytes, list[TrustList]]:  # fmt: skip
+    """All lists of a kind of each signer, the newest last."""
     by_digest = {certificate.digest: certificate for certificate in signers}
-    found: dict[bytes, TrustList] = {}
+    found: dict[bytes, list[TrustList]] = {}
     for name, trusted in files.lists:
         if trusted.kind != kind:
             continue
         if fault := _fault(trusted, by_digest.get(trusted.data.signer), psid):
             files.faults.append(f"{name}: {fault}")
             continue
-        other = found.get(trusted.data.signer)
-        if other is None or _order(trusted) > _order(other):
-            found[trusted.data.signer] = trusted
-    return found
+        found.setdefault(trusted.data.signer, []).append(trusted)
+    return {digest: sorted(of_signer, key=_order) for digest, of_signer in found.items()}
 
 
 def _order(trusted: TrustList) -> tuple[int, int]:

@@ -4,15 +4,17 @@ import json
 import sqlite3
 import zlib
 from contextlib import closing
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
 
 from benchmarks.toll_campaign import Campaign
-from cli.verify_toll import differences_of, parse, read, verify_toll
-from services.monitoring.ledger.chain import CURRENT, link_of
+from cli.verify_toll import Evidence, differences_of, parse, read, verify_toll, with_seal
+from services.monitoring.ledger.chain import CURRENT, Chain, link_of
 from shared.errors import UserError
 from shared.evidence import KeyFile, Outcome
+from shared.evidence.outcome import OTHER_RELEASE
 from shared.evidence.statement import signed
 from shared.messages.toll import PassageState
 from shared.unpacked import MIN_LIMIT_BYTES
@@ -67,6 +69,44 @@ def test_a_change_of_the_evidence_is_found(ledger: Path, change: str) -> None:
     forged = pack.model_copy(update=changes[change])
     assert differences_of(evidence, pack) == []
     assert differences_of(evidence, forged)
+
+
+def test_a_pack_of_earlier_algorithms_is_left_to_the_release_that_made_it(
+    ledger: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    evidence = next(iter(read(ledger)))
+    pack = parse(evidence)
+    assert pack.crossed.evidence is not None
+    older = pack.crossed.evidence.model_copy(update={"version": "2"})
+    earlier = pack.model_copy(update={"crossed": pack.crossed.model_copy(update={"evidence": older})})
+    path = tmp_path / "pack.json"
+    path.write_text(earlier.model_dump_json())
+    assert verify_toll([path]) == Outcome.UNSIGNED
+    printed = capsys.readouterr().out
+    assert "of version 2 of the algorithms" in printed and "0 of 1 charges verified" in printed
+    path.write_text(earlier.model_copy(update={"amount_cents": pack.amount_cents + 1}).model_dump_json())
+    assert verify_toll([path]) == 1, "what does not depend on the version is judged"
+    signed = path.with_name("signed.json")
+    signed.write_bytes(with_seal(sealed(ledger, earlier.model_dump_json().encode(), pack.charged.passage_id)))
+    assert verify_toll([signed]) == OTHER_RELEASE
+
+
+def sealed(ledger: Path, pack: bytes, passage_id: str) -> Evidence:
+    """A pack with the signature of the ledger's unit."""
+    (_, store) = ledger_at(ledger.parent / "other.sqlite", key=KeyFile(ledger.parent))
+    try:
+        seal = Chain(store, KeyFile(ledger.parent), "").pack_seal(passage_id, sha256(pack).hexdigest(), START_NS)
+    finally:
+        store.close()
+    return Evidence(passage_id, pack, seal=seal)
+
+
+def test_trusted_certificates_that_judge_no_charge_are_named(
+    ledger: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert verify_toll([ledger], trust=tmp_path) in (0, 1)
+    printed = capsys.readouterr().out
+    assert "--trust has judged no chain" in printed or "not trusted by the folder" in printed
 
 
 def test_a_pack_that_differs_from_that_of_the_transaction_is_reported(ledger: Path) -> None:

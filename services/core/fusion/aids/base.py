@@ -1,4 +1,4 @@
-"""Base of all measurements. A new kind is one file with one class, and one row where its message is converted."""
+"""Base of all measurements. A new kind is one folder, and one row of `AIDS` in `kinds.py`."""
 
 from collections.abc import Callable, Iterator, Mapping
 from enum import Enum, auto

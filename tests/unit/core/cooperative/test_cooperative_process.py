@@ -67,6 +67,15 @@ def run(process: Process, seconds: range, epoch: object = at, **changes: object)
     return found
 
 
+def test_neighbours_that_are_received_unsigned_are_used_by_a_setting_only() -> None:
+    for config, number, count in ((Config(), 2, 3), (Config(unsigned_neighbours=True), 3, 0)):
+        process = informed(config=config)
+        assert help_of(run(process, range(1, 4), authenticated=False)[-1]) == number
+        assert process.rejects["neighbour_not_authenticated"] == count
+    process = informed()
+    assert help_of(run(process, range(1, 4), authenticated=True)[-1]) == 3 and not process.rejects
+
+
 def test_neighbours_make_the_cooperative_test_from_the_second_epoch_on() -> None:
     process = informed()
     first, *others = run(process, range(1, 12))

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from services.core.toll.codes import Code as SilentCode
 from services.monitoring.ledger.confirmation import Claim, Verdict, groups, judge
 from services.monitoring.ledger.ledger import Ledger, Settings
-from services.monitoring.ledger.pack import pack_faults
+from services.monitoring.ledger.pack import LEAST_PROBABILITY, MOST_MISSED, MOST_OTHERS_PER_S, pack_faults
 from services.monitoring.ledger.store import LedgerFault, Store
 from shared.messages.explanation import explain, passage
 from shared.messages.toll import (
@@ -27,7 +27,7 @@ from shared.messages.toll import (
 )
 from shared.unpacked import MIN_LIMIT_BYTES
 from tests.support.cases import each
-from tests.support.v2x.tolling import COUNTED, NS, START_NS, STATION, Vehicle, answer, ledger_at
+from tests.support.v2x.tolling import COUNTED, NS, PLAZA, START_NS, STATION, Vehicle, answer, ledger_at
 
 OPEN, CROSSED, CHARGED = PassageState.OPEN, PassageState.CROSSED, PassageState.CHARGED
 HELD, SUSPECT, UNREGISTERED = PassageState.HELD, PassageState.SUSPECT, PassageState.UNREGISTERED
@@ -164,6 +164,59 @@ def test_the_lane_of_an_undecided_passage_is_that_of_its_pulse(gate: Gate) -> No
         ),
     ):  # fmt: skip
         assert list(pack_faults(forged, COUNTED))
+
+
+def with_version(pack: EvidencePack, version: str) -> EvidencePack:
+    """The pack as another version of the algorithms would have made its evidence."""
+    evidence = pack.crossed.evidence
+    assert evidence is not None
+    crossed = pack.crossed.model_copy(update={"evidence": evidence.model_copy(update={"version": version})})
+    return pack.model_copy(update={"crossed": crossed})
+
+
+def test_a_pack_confirms_its_lane_by_its_own_pulse_and_by_limits_of_a_ledger(gate: Gate) -> None:
+    car = gate.vehicle("a")
+    gate.pulse(car, 0.05)
+    gate.end(car)
+    assert gate.outcome(car, EXIT_S + 31) is CHARGED
+    pack = with_version(EvidencePack.model_validate_json(gate.ledger.evidence(car.passage_id) or b""), "3")
+    given = pack.assignment
+    assert given is not None and list(pack_faults(pack, COUNTED)) == []
+    other = pack.pulses[0].model_copy(update={"lane": "n1"})
+    unconfirmed = {"assignment": None, "pulses": (), "verdict": explain("ledger.unconfirmed")}
+    changes: list[tuple[dict[str, object], str]] = [
+        ({"lane": "n1", "pulses": (other,), "assignment": given.model_copy(update={"pulses": (other,)})},
+         "the lane that is charged is not that of the final statement"),
+        ({"assignment": None}, "does not have the pulses and passages around it"),
+        (unconfirmed, "its lane has a detector, which has not confirmed it"),
+        ({"verdict": None}, "its verdict is not that of a charge"),
+        ({"verdict": explain("ledger.not_counted")}, "its verdict is not that of a charge"),
+        ({"charged": pack.charged.model_copy(update={"lanes": (*pack.charged.lanes, LANES[0])})},
+         "lanes and times of the final statement are not those of the crossing"),
+        ({"charged": pack.charged.model_copy(update={"crossing_sd_s": 0.01})}, "is surer of the crossing time"),
+        ({"match_gate_s": 1e6}, "by limits that no ledger may have"),
+        ({"assignment": given.model_copy(update={"probability": 0.5})}, "and 0.500000 is said"),
+    ]  # fmt: skip
+    limits = {"least_probability": 0.0, "missed": 0.0, "others_per_s": 100.0, "detector_sd_s": 60.0}
+    changes += [
+        ({"assignment": given.model_copy(update={name: value})}, "by limits that no ledger may have")
+        for name, value in limits.items()
+    ]
+    for change, fault in changes:
+        assert any(fault in found for found in pack_faults(pack.model_copy(update=change), COUNTED)), fault
+    earlier = with_version(pack, "2").model_copy(update={"assignment": None})
+    assert list(pack_faults(earlier, COUNTED)) == []
+    plain = pack.model_copy(update=unconfirmed)
+    assert list(pack_faults(plain, PLAZA)) == [], "without a detector nothing confirms"
+
+
+def test_a_ledger_takes_no_settings_by_which_its_packs_would_be_refused() -> None:
+    for name, value in (
+        ("counted_probability", LEAST_PROBABILITY), ("detector_missed", MOST_MISSED),
+        ("other_pulses_per_s", 1.01 * MOST_OTHERS_PER_S),
+    ):  # fmt: skip
+        with pytest.raises(ValidationError, match=name):
+            Settings.model_validate({name: value})
 
 
 def test_an_undecided_passage_with_a_vehicle_beside_it_is_left_to_a_person(gate: Gate) -> None:

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from services.monitoring.outputs.report import (
-    ELLIPSE_95,
     STALE_AFTER_NS,
     LatestMessages,
     Quality,
     Report,
     horizontal_ellipse,
 )
+from shared.maths.confidence import ELLIPSE_95
 from shared.messages.gnss import CarrierSolution
 from shared.messages.navigation import NavigationPhase
 from shared.messages.operation import OriginKind

@@ -9,9 +9,10 @@ from math import cos, hypot, radians, sin
 import numpy as np
 import pytest
 
-from services.parsers.v2x.neighbours import ELLIPSE_95, SCALAR_95, ReceivedNeighbours, neighbour_of
+from services.parsers.v2x.neighbours import ReceivedNeighbours, neighbour_of
 from services.parsers.v2x.process import Config, Process
 from shared.devices.v2x_device import open_radio
+from shared.maths.confidence import ELLIPSE_95, SCALAR_95
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages.base import Tick
 from shared.messages.neighbours import MAX_NEIGHBOURS, NeighbourStates
@@ -84,6 +85,41 @@ def test_authenticated_stations_come_first_and_unsigned_ones_do_not_replace_them
     assert (first.station_id, first.authenticated) == (5, True) and hypot(*first.velocity_ned_m_s) < 21.0
     assert rejects == {"neighbour_unsigned": 1}
     assert known.states(NOW_NS + 2_000_000_000, "v2x0") is None, "none of them is new enough"
+
+
+def test_a_flood_of_unsigned_stations_displaces_no_authenticated_one() -> None:
+    known = ReceivedNeighbours(Counter())
+    known.note(cam(station_id=5, authentication=Authentication.AUTHENTICATED, signer="0" * 16), b"frame")
+    for station in range(100, 3000):
+        known.note(cam(station_id=station), b"frame")
+    states = known.states(NOW_NS, "v2x0")
+    assert states is not None and states.neighbours[0].station_id == 5
+    assert [one.authenticated for one in states.neighbours] == [True] + [False] * (MAX_NEIGHBOURS - 1)
+    for station in range(3000, 5000):
+        known.note(cam(station_id=station, authentication=Authentication.AUTHENTICATED, signer="0" * 16), b"frame")
+    states = known.states(NOW_NS, "v2x0")
+    assert states is not None and min(one.station_id for one in states.neighbours) > 3900, "the oldest go"
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_state_is_moved_on_over_the_date_line(sign: float) -> None:
+    heading = sign * radians(90.0)
+    found = neighbour_of(cam(longitude_deg=sign * 179.99999, heading_rad=heading, speed_m_s=30.0), None, NOW_NS + 10**9)
+    assert found is not None
+    moved_deg = 30.0 / (111_320.0 * cos(radians(49.0)))
+    assert found.longitude_deg == pytest.approx(sign * (179.99999 + moved_deg - 360.0), abs=1e-9)
+
+
+@pytest.mark.parametrize("latitude_deg", [90.0, -90.0, 89.99999, -89.99999])
+def test_at_a_pole_there_is_no_neighbour_and_the_others_are_published(latitude_deg: float) -> None:
+    rejects: Counter[str] = Counter()
+    known = ReceivedNeighbours(rejects)
+    known.note(cam(station_id=1, latitude_deg=latitude_deg, heading_rad=0.0, speed_m_s=160.0), b"frame")
+    known.note(cam(station_id=2), b"frame")
+    states = known.states(NOW_NS + 10**9, "v2x0")
+    assert states is not None and [one.station_id for one in states.neighbours] == [2]
+    known.note(cam(station_id=3, latitude_deg=89.9, heading_rad=0.0, speed_m_s=1e6), b"frame")
+    assert known.states(NOW_NS + 10**9, "v2x0") is not None and rejects == {"neighbour_impossible": 1}
 
 
 def test_a_radio_that_measures_offsets_gives_them_to_the_neighbours() -> None:
