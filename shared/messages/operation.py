@@ -101,7 +101,7 @@ class Crossing(Message):
     """Whether the vehicle is carried by a ferry or train, as its driver has entered it: at each change.
 
     Only the driver's begin and end silence the comparison of GNSS with the odometer. One that is open at the end of a
-    unit is open at its next start, with the time and the distance that it had: it is published each minute and each 10 m.
+    unit is open at its next start, with the time and the distance that it had; it is published each minute and 10 m.
     """
 
     sampled_ns: Nanoseconds
