@@ -11,13 +11,13 @@ from shared.errors import UserError
 
 from . import navigation as drives_table
 from . import outages as outages_table
-from .coverage.coverage import Status, coverage, names, stored
+from .coverage.coverage import Status, coverage, later_commits, names, stored
 from .coverage.page import cells, title_of
 from .navigation_figures import drawn_drives
 from .report import Paper, publish
 
 MIN_DRIVES = 6
-COLOURS = {Status.REPRODUCED: "green", Status.DIFFERS: "yellow", Status.NOT_REPRODUCED: "dim"}
+COLOURS = {Status.REPRODUCED: "green", Status.FITTED: "cyan", Status.DIFFERS: "yellow", Status.NOT_REPRODUCED: "dim"}
 
 
 def navigation(runs: int, json: bool, out: Path | None = None, *, short: bool = False) -> int:
@@ -58,6 +58,8 @@ def listed(paper: str | None, json: bool) -> int:
     console = Console()
     for name, one in lists.items():
         console.print(f"[bold]{title_of(one)}[/]", highlight=False)
+        if text := _age(name):
+            console.print(f"  [yellow]{text}[/]", highlight=False)
         for row in one.rows:
             item, shows, status, numbers, last = cells(name, row)
             console.print(f"  {item} [{COLOURS[row.status]}]{status}[/]: {escape(shows)}", highlight=False)
@@ -66,6 +68,16 @@ def listed(paper: str | None, json: bool) -> int:
                     console.print(Padding(escape(text), (0, 0, 0, 4)), highlight=False)
         console.print()
     return 0
+
+
+def _age(name: str) -> str:
+    """That a stored result is older than the code; empty where it is not, or git does not know."""
+    result = stored(name)
+    later = later_commits(result.get("commit")) if result is not None else None
+    if result is None or not later:
+        return ""
+    again = f"obu papers {name}"
+    return f"numbers are of {result['commit']}: {later} later commits change code; `{again}` computes them again"
 
 
 def motion_conflict(drives: int, json: bool, out: Path | None) -> int:

@@ -101,12 +101,12 @@ class Crossing(Message):
     """Whether the vehicle is carried by a ferry or train, as its driver has entered it: at each change.
 
     Only the driver's begin and end silence the comparison of GNSS with the odometer. One that is open at the end of a
-    unit is open at its next start, from that on.
+    unit is open at its next start, with the time and the distance that it had; it is published each minute and 10 m.
     """
 
     sampled_ns: Nanoseconds
     is_open: bool
-    since_ns: Nanoseconds  # of the begin; one that was open at a start: of the start
+    since_ns: Nanoseconds  # of the begin; after a restart: of the start, less the time that it had been open before
     ended_by: CrossingEnd | None = None  # None while it is open
     wheels_m: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0  # distance that the wheels have turned in it
 

@@ -37,6 +37,7 @@ class TachographEvent(Message):
     kind: TachographKind
     begin_utc_ns: Nanoseconds
     end_utc_ns: Nanoseconds | None = None  # None: it lasts
+    seen_utc_ns: Nanoseconds | None = None  # in records, of one that lasts: until when it did
     cards_begin: Annotated[tuple[Name, ...], Field(max_length=2)] = ()  # this unit reads none
     cards_end: Annotated[tuple[Name, ...], Field(max_length=2)] = ()
     similar_that_day: Count = 0  # events of the kind that began on that day (UTC), this one included
@@ -45,7 +46,12 @@ class TachographEvent(Message):
 
 
 class TachographRecords(Message):
-    """The records that are kept of all kinds, oldest first."""
+    """The records that are kept of all kinds, oldest first: at each change, and each minute while one lasts.
+
+    It is published each minute of driving without a position, too.
+    """
 
     sampled_ns: Nanoseconds
     records: Annotated[tuple[TachographEvent, ...], Field(max_length=MAX_RECORDS)] = ()
+    driven_s: Seconds = 0.0  # since the newest position: goes on after a restart
+    absent_since_utc_ns: Nanoseconds | None = None  # begin of that drive

@@ -69,7 +69,7 @@ class TrustMonitor(Message):
         tuple[Name, ...], OMITTED_IF_EMPTY
     ] = ()  # gnss, odometer, the ID of a satellite or of a neighbour
     suspect_since_ns: Nanoseconds | None = None  # earliest time from which the evidence may be wrong
-    doubtful: Annotated[bool, OMITTED_IF_EMPTY] = False  # it passes, but by little: the position deserves caution
+    doubtful: Annotated[bool, OMITTED_IF_EMPTY] = False  # near its limit, or a question: the position deserves caution
     since_ns: Nanoseconds | None = None  # when this outcome was reached
     statistic: Annotated[Statistic, unit("of the test")] | None = None
     threshold: Annotated[Statistic, unit("of the test")] | None = None

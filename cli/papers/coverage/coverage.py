@@ -5,6 +5,7 @@ the papers themselves are not part of the repository. Each number up to them has
 text states.
 """
 
+import subprocess
 import tomllib
 from collections.abc import Sequence
 from enum import StrEnum
@@ -19,6 +20,7 @@ from shared.errors import UserError
 FOLDER = Path(__file__).parent
 RESULTS = Path(__file__).resolve().parents[3] / "benchmarks" / "results" / "papers"
 UNKNOWN = "The documents of this project do not state what it shows."
+CODE = ("cli/papers", "services", "shared")  # of which a result may depend, in the repository
 Json = object
 
 
@@ -26,8 +28,12 @@ class Status(StrEnum):
     """What became of a figure, a table or a number of the text."""
 
     REPRODUCED = "reproduced"  # a command computes it, and the stored numbers are within their tolerances
+    FITTED = "fitted"  # computed and within its tolerances, by a simulation fitted to these numbers: no evidence
     DIFFERS = "differs"  # a command computes it, and ours is another number or another form
     NOT_REPRODUCED = "not reproduced"
+
+
+HELD = (Status.REPRODUCED, Status.FITTED)  # numbers of these have a tolerance
 
 
 class _Part(BaseModel):
@@ -57,12 +63,13 @@ class Row(_Part):
 
     @model_validator(mode="after")
     def _is_complete(self) -> "Row":
-        if self.status is Status.REPRODUCED and not (self.command and (self.test or self.numbers)):
-            raise ValueError(f"{self.item}: reproduced by which command, and held by which test or number?")
+        held = self.status in HELD
+        if held and not (self.command and (self.test or self.numbers)):
+            raise ValueError(f"{self.item}: {self.status.value} by which command, and held by which test or number?")
         if self.status is not Status.REPRODUCED and not self.why:
             raise ValueError(f"{self.item}: {self.status.value}, and no reason")
-        if self.status is Status.REPRODUCED and any(number.tolerance is None for number in self.numbers):
-            raise ValueError(f"{self.item}: reproduced within which tolerance?")
+        if held and any(number.tolerance is None for number in self.numbers):
+            raise ValueError(f"{self.item}: {self.status.value} within which tolerance?")
         return self
 
     @property
@@ -106,6 +113,21 @@ def stored(name: str) -> dict[str, Json] | None:
         return None
     document: dict[str, Json] = loads(path.read_text(encoding="utf-8"))
     return document
+
+
+def later_commits(commit: object) -> int | None:
+    """Commits after that of a stored result which change code that it may use; None where git does not know it."""
+    base = str(commit).removesuffix("-dirty")
+    if not base.isalnum():
+        return None
+    try:
+        done = subprocess.run(
+            ["git", "rev-list", "--count", f"{base}..HEAD", "--", *CODE], cwd=RESULTS.parents[2], capture_output=True,
+            text=True, check=False,
+        )  # fmt: skip
+    except OSError:  # no git, or no clone: an installed unit
+        return None
+    return int(done.stdout) if done.returncode == 0 else None
 
 
 def value_at(document: Json, at: Sequence[int | str]) -> float:

@@ -11,8 +11,8 @@ Figure by figure and table by table. `figure 12` is the highest number of a pape
 name: the papers are not part of the repository, and a figure that these documents do not describe is *not reproduced*.
 Numbers beside the paper's are of the results in `benchmarks/results/papers`, each with the version of the code;
 `make papers KEEP=1` computes them again. `obu papers list` prints these tables. *Reproduced* numbers are held by
-`tests/scenarios/papers/test_coverage.py`. Simulations were fitted to some of them; the page of each paper, and *Fitted*
-of each command, name these: agreement there is no independent evidence.
+`tests/scenarios/papers/test_coverage.py`, and so are *fitted* ones, to which the simulation was fitted: agreement there
+is no independent evidence.
 """
 
 
@@ -25,7 +25,8 @@ def cells(name: str, row: Row) -> tuple[str, ...]:
 def title_of(listed: Coverage) -> str:
     """Title of a paper, and how many of its rows are reproduced."""
     counts = [sum(row.status is status for row in listed.rows) for status in Status]
-    return f"{listed.number} {listed.title}: {counts[0]} reproduced, {counts[1]} differ, {counts[2]} not reproduced"
+    counted = f"{counts[0]} reproduced, {counts[1]} fitted, {counts[2]} differ, {counts[3]} not reproduced"
+    return f"{listed.number} {listed.title}: {counted}"
 
 
 def coverage_page() -> str:

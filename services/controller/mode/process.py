@@ -78,6 +78,7 @@ class Process:
             case Tick():
                 for exchange in self._exchanges.values():
                     yield from exchange.tick(self._unit.now_ns)
+                yield from self._crossing.keep(self._unit.now_ns)
         yield from self._commands.note(message)
         known = isinstance(message, ImuSamples) and self._state is not None and self._state.imu_source is not None
         if self._unit.started_ns is not None and not known:  # IMU samples at 100 Hz need no decision each

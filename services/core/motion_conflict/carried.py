@@ -25,6 +25,11 @@ class CarriedFinding:
     speed: float  # [m/s] newest
     turn_difference: float  # [rad] turn of the course minus that of the gyroscope over the window, absolute
 
+    @property
+    def turns_agree(self) -> bool:
+        """Whether the gyroscope turned as GNSS did."""
+        return self.turn_difference <= TURN_LIMIT
+
 
 class Carried:
     """Speeds of the wheels, velocities of GNSS, and the yaw that the gyroscope has counted, as they come."""
@@ -63,6 +68,11 @@ class Carried:
 
         Without a gyroscope turns are not compared, and nothing is found.
         """
+        found = self.movement(time_ns)
+        return found if found is not None and found.turns_agree else None
+
+    def movement(self, time_ns: int) -> CarriedFinding | None:
+        """Find movement without wheels, whether the turns agree or not."""
         fresh_ns = time_ns - round(STALE_S * SECOND_NS)
         if not self._moves or self._moves[-1][0] < fresh_ns or self._wheels_ns is None or self._wheels_ns < fresh_ns:
             return None
@@ -73,4 +83,4 @@ class Carried:
         first = next(move for move in self._moves if newest_ns - move[0] <= WINDOW_S * SECOND_NS)
         difference = (course - first[2]) - (yaw - first[3])
         turn = abs((difference + pi) % (2.0 * pi) - pi)
-        return CarriedFinding(moved_s, speed, turn) if turn <= TURN_LIMIT else None
+        return CarriedFinding(moved_s, speed, turn)

@@ -18,6 +18,10 @@ class Code(StrEnum):
     CROSSING = "motion.crossing"  # the driver has entered a ferry or train
     NOT_CARRIED = "motion.not_carried"
     CARRIED_OR_SPOOFED = "motion.carried_or_spoofed"
+    CARRIED = "motion.carried"  # a crossing is entered, and nothing contradicts it
+    CROSSING_WITHOUT_WHEELS = "motion.crossing_without_wheels"  # nothing would close it
+    CROSSING_TURNS = "motion.crossing_turns"
+    CROSSING_LONG = "motion.crossing_long"
     NO_DISTANCE = "motion.no_distance"
     DISTANCE = "motion.distance"
     ODOMETER_STANDS = "motion.odometer_stands"

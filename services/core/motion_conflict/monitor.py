@@ -34,6 +34,7 @@ from .tachograph import (
 from .verdicts import EITHER_SOURCE, MotionVerdicts
 
 WINDOW_S = PERIOD_S * SAMPLES
+LONG_CROSSING_S = 24.0 * 3600.0  # [s] a crossing that is open for longer was rather forgotten, or is abused
 
 
 class MotionMonitor(SpeedComparison):
@@ -75,6 +76,10 @@ class MotionMonitor(SpeedComparison):
     def _carried(self, time_ns: int) -> Test:
         """Whether a ferry or train may carry the vehicle: a question to the driver, which silences nothing."""
         base = _test(explain(Code.NOT_CARRIED), "rad", carried.WINDOW_S, accused=())
+        if self.crossing_since_ns is not None:
+            why = self._doubt_in_crossing(time_ns, self.crossing_since_ns)
+            known = why or explain(Code.CARRIED, since_ns=self.crossing_since_ns)
+            return replace(base, outcome=Outcome.PASS, why=known, doubtful=why is not None)
         missing = self._missing(time_ns, self.settings.stale_after_s)
         if missing is not None:
             return replace(base, why=missing)
@@ -86,6 +91,20 @@ class MotionMonitor(SpeedComparison):
             turn_deg=degrees(finding.turn_difference),
         )  # fmt: skip
         return replace(base, outcome=Outcome.PASS, why=why, doubtful=True)
+
+    def _doubt_in_crossing(self, time_ns: int, since_ns: int) -> Explanation | None:
+        """What contradicts a crossing that is open; a manipulated odometer at zero would never close it."""
+        wheels = {Input.ODOMETER_SPEED: self.track.newest_ns}
+        limit_s = self.settings.stale_after_s
+        if absent(wheels, time_ns, limit_s, never=Code.NO_INPUT, silent=Code.INPUT_SILENT) is not None:
+            return explain(Code.CROSSING_WITHOUT_WHEELS, since_ns=since_ns)
+        moved = self.carried.movement(time_ns)
+        if moved is not None and not moved.turns_agree:
+            return explain(Code.CROSSING_TURNS, turn_deg=degrees(moved.turn_difference))
+        open_s = (time_ns - since_ns) / SECOND_NS
+        if open_s > LONG_CROSSING_S:
+            return explain(Code.CROSSING_LONG, open_s=open_s, limit_s=LONG_CROSSING_S)
+        return None
 
     def _missing(self, time_ns: int, limit_s: float) -> Explanation | None:
         """Why the two speeds cannot be compared now."""

@@ -216,7 +216,7 @@ def _unresolved(facts: Facts) -> Explanations:
         found += [explain(Code.GNSS_DISTURBED), *_statements(accusing)]
     for monitor in (*INERTIAL, Monitor.GYROSCOPE, Monitor.MOTION):
         statement = facts.statement(monitor)
-        if statement.doubtful and statement.outcome is Outcome.PASS:
+        if statement.doubtful:  # also of one that is not evaluated: a question needs no learned scale
             found.append(explain(Code.MONITOR_DOUBTFUL, monitor=monitor))
     return tuple(found)
 

@@ -13,6 +13,7 @@ from cli.papers.coverage.coverage import (
     Row,
     Status,
     coverage,
+    later_commits,
     names,
     outside,
     stored,
@@ -61,6 +62,33 @@ def test_a_number_outside_its_tolerance_is_named(value: float, is_outside: bool)
     assert bool(outside(row, document)) is is_outside
     bound = row.model_copy(update={"numbers": (number.model_copy(update={"at_most": True, "tolerance": 0.0}),)})
     assert bool(outside(bound, document)) is (value > 1.0)
+
+
+def test_a_fitted_number_is_held_but_not_called_reproduced() -> None:
+    fitted = [row for paper in PAPERS for row in coverage(paper).rows if row.status is Status.FITTED]
+    assert len(fitted) == 5 and all(row.numbers and row.reason for row in fitted)
+    with pytest.raises(ValueError, match="fitted within which tolerance"):
+        number = Number(at=("a",), paper=1.0)
+        Row(item="x", shows="x", status=Status.FITTED, command="obu papers toll", reason="y", numbers=(number,))
+
+
+@pytest.mark.parametrize("paper", PAPERS)
+def test_a_reproduced_bound_is_not_far_above_ours(paper: str) -> None:
+    """A bound that anything smaller meets shows nothing: ours has to be at least half of it."""
+    result = stored(paper)
+    bounds = [
+        number
+        for row in coverage(paper).rows
+        if row.status is Status.REPRODUCED
+        for number in row.numbers
+        if number.at_most
+    ]
+    assert all(value_at(result, number.at) >= 0.5 * number.paper for number in bounds)
+
+
+def test_a_result_has_later_commits_or_is_unknown() -> None:
+    assert later_commits("HEAD") in (0, None), "None without a clone"
+    assert later_commits("--all") is None and later_commits("0123456789abcdef") is None
 
 
 def test_what_is_not_there_or_not_complete_is_an_error() -> None:

@@ -11,6 +11,7 @@ from ..verdicts import MotionVerdicts
 
 NS = 1_000_000_000
 TIME_LIMIT_S = 60.0  # [s] difference of the clock of the unit against GNSS that is a conflict (86)
+STEP_LIMIT_NS = NS  # of the time of GNSS, which is followed at once
 ABSENCE_S = 3.0 * 3600.0  # [s] of driving without a position that is an event (81)
 LONGEST_STEP_S = 2.0  # [s] between two speeds over which driving time is counted
 EVIDENCE = "evidence"  # monitor of the receiver's own flags
@@ -28,12 +29,20 @@ class Conditions:
     driven_s: float = 0.0  # since the newest position
     last_speed_ns: int | None = None
     absent_since_ns: int | None = None
+    absent_since_utc_ns: int | None = None  # of an earlier run, in place of the stamp of another time line
+    measured_offset_ns: int | None = None  # newest of GNSS, which may be spoofed
+    clock_seen: bool = False  # whether a clock of the unit is compared with GNSS
 
     def position(self, time_ns: int, utc_ns: int | None) -> None:
         """Use a fix with a position."""
-        self.driven_s, self.absent_since_ns = 0.0, None
-        if utc_ns is not None:
-            self.utc_offset_ns = utc_ns - time_ns
+        self.driven_s, self.absent_since_ns, self.absent_since_utc_ns = 0.0, None, None
+        if utc_ns is None:
+            return
+        self.measured_offset_ns = utc_ns - time_ns
+        if self.utc_offset_ns is None:
+            self.utc_offset_ns = self.measured_offset_ns
+        elif not self.clock_seen or abs(self.measured_offset_ns - self.utc_offset_ns) <= STEP_LIMIT_NS:
+            self._take_offset()
 
     def speed(self, time_ns: int, speed: float) -> None:
         """Count the driving time without a position."""
@@ -43,6 +52,20 @@ class Conditions:
             if self.driven_s == 0.0:
                 self.absent_since_ns = time_ns
             self.driven_s += step_s
+
+    def _take_offset(self) -> None:
+        """Follow the time of GNSS, unless it may be false: the log then goes on with the offset before.
+
+        The first offset is taken in any case, as nothing can be dated without one; a step only after the clock of the
+        unit has agreed, so that the offset before is that before the step.
+        """
+        if self.anomaly_ns is None and self.clock_ns is None:
+            self.utc_offset_ns = self.measured_offset_ns
+
+    def adopt(self, driven_s: float, since_utc_ns: int | None) -> None:
+        """Go on with the drive without a position of an earlier run."""
+        if self.driven_s == 0.0 and since_utc_ns is not None:
+            self.driven_s, self.absent_since_utc_ns = driven_s, since_utc_ns
 
     def trust(self, state: TrustState) -> None:
         """An anomaly: the receiver itself, or the other sensors, say that GNSS is falsified."""
@@ -54,14 +77,22 @@ class Conditions:
 
     def clock(self, message: HostClock) -> None:
         """Compare the clock of the unit with the time of GNSS."""
-        if self.utc_offset_ns is None:
+        self.clock_seen = True
+        if self.measured_offset_ns is None:
             return
-        difference_s = abs(message.utc_ns - message.sampled_ns - self.utc_offset_ns) / NS
+        difference_s = abs(message.utc_ns - message.sampled_ns - self.measured_offset_ns) / NS
         if difference_s > TIME_LIMIT_S:
             self.clock_ns = self.clock_ns or message.sampled_ns
             self.clock_difference_s = max(self.clock_difference_s or 0.0, difference_s)
         else:
             self.clock_ns = self.clock_difference_s = None
+            self._take_offset()
+
+    def absent_since(self, offset_ns: int) -> int | None:
+        """Begin [ns, UTC] of the drive without a position, which may be of an earlier run."""
+        if self.absent_since_utc_ns is not None or self.absent_since_ns is None:
+            return self.absent_since_utc_ns
+        return self.absent_since_ns + offset_ns
 
     def begins(self, verdicts: MotionVerdicts, exceeded_s: float, time_ns: int) -> dict[TachographKind, int | None]:
         """Begin of each kind that lasts.

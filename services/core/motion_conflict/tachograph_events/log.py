@@ -28,12 +28,13 @@ class TachographLog:
         self._count: Counter[tuple[TachographKind, int]] = Counter()  # by kind and day
 
     def adopt(self, records: Iterable[TachographEvent]) -> None:
-        """Take over records of an earlier run; one that was active ends with the run, at its begin: no end is known."""
+        """Take over records of an earlier run; one that was active ends when it was last published as lasting."""
         for record in records:
+            lasted_ns = max(record.begin_utc_ns, record.seen_utc_ns or record.begin_utc_ns)
             ended = (
                 record
                 if record.end_utc_ns is not None
-                else record.model_copy(update={"end_utc_ns": record.begin_utc_ns, "purposes": ()})
+                else record.model_copy(update={"end_utc_ns": lasted_ns, "seen_utc_ns": None, "purposes": ()})
             )
             self._kept.append(ended)
             key = record.kind, record.begin_utc_ns // DAY_NS
@@ -73,6 +74,11 @@ class TachographLog:
         elif difference_s is not None and difference_s > (active.difference_s or 0.0):
             self._active[kind] = active.model_copy(update={"difference_s": difference_s})
 
+    @property
+    def lasts(self) -> bool:
+        """Whether an event lasts."""
+        return bool(self._active)
+
     def _keep(self, event: TachographEvent, now_utc_ns: int) -> TachographEvent:
         """Store an event that has ended, and drop what has no purpose any more; return it with its purposes."""
         self._kept.append(event)
@@ -85,7 +91,10 @@ class TachographLog:
 
     def records(self, now_utc_ns: int) -> list[TachographEvent]:
         """Records with a purpose, oldest first; the count of similar events is that of the whole day."""
-        found = [*self._active.values()]
+        found = [
+            event.model_copy(update={"seen_utc_ns": max(now_utc_ns, event.begin_utc_ns)})
+            for event in self._active.values()
+        ]
         for kind in TachographKind:
             found += self._with_purposes([event for event in self._kept if event.kind is kind], now_utc_ns)
         return sorted((self._counted(event) for event in found), key=lambda event: event.begin_utc_ns)

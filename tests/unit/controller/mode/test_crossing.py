@@ -2,6 +2,7 @@
 
 import pytest
 
+from services.controller.mode.crossing import NS
 from shared.messages.base import Message, Tick
 from shared.messages.operation import Crossing, CrossingEnd, OperatorCommand
 from shared.messages.vehicle import VehicleSpeed
@@ -26,7 +27,7 @@ def test_the_driver_begins_and_ends_a_crossing() -> None:
     assert [(one.is_open, one.since_ns) for one in crossings(begun)] == [(True, at(1.0))]
     assert answers(run(process, [command(BEGIN)])) == [(FAILED, "a crossing is open already; end it first")]
     ended = run(process, [Tick(now_ns=at(3601.0)), command(END)])
-    (over,) = crossings(ended)
+    _, over = crossings(ended)  # after the one of each minute
     assert not over.is_open and over.ended_by is CrossingEnd.DRIVER and over.since_ns == at(1.0)
     ((stage, why),) = answers(run(process, [command(END)]))
     assert stage is FAILED and "no crossing is open" in why
@@ -51,9 +52,27 @@ def test_another_source_and_old_stamps_move_no_wheels() -> None:
 
 
 def test_one_that_was_open_at_the_end_of_the_unit_is_open_from_the_next_start_on() -> None:
-    stored = Crossing(sampled_ns=5, is_open=True, since_ns=5)
+    stored = Crossing(sampled_ns=5 + 10 * NS, is_open=True, since_ns=5, wheels_m=60.0)
     process = unit()
     (resumed,) = crossings(run(process, [Tick(now_ns=at(1.0)), stored]))
-    assert resumed.is_open and resumed.since_ns == at(1.0), "a stamp of another start means nothing"
+    assert resumed.is_open and resumed.since_ns == at(1.0) - 10 * NS, (
+        "a span, as a stamp of another start means nothing"
+    )
+    assert resumed.wheels_m == 60.0
     assert crossings(run(process, [resumed])) == [], "its own message comes back"
     assert crossings(run(unit(), [Tick(now_ns=at(1.0)), stored.model_copy(update={"is_open": False})])) == []
+
+
+def test_restarts_do_not_keep_a_crossing_open_longer_than_100_m_of_the_wheels() -> None:
+    """A restart each 25 m: the message that the broker keeps has the distance."""
+    kept, out = Crossing(sampled_ns=at(0.0), is_open=True, since_ns=at(0.0)), []
+    for start in (100.0, 200.0, 300.0, 400.0, 500.0, 600.0):
+        process = unit()
+        out = crossings(run(process, [Tick(now_ns=at(start)), kept, wheels(start, 0.5), Tick(now_ns=at(start + 0.1))]))
+        drive = [one for k in range(1, 51) for one in (wheels(start + k, 0.5), Tick(now_ns=at(start + k)))]
+        out += crossings(run(process, drive))
+        kept = out[-1]
+        if not kept.is_open:
+            break
+    assert [one.is_open for one in out][-1] is False and kept.ended_by is CrossingEnd.WHEELS
+    assert kept.sampled_ns - kept.since_ns >= 150 * NS

@@ -99,6 +99,38 @@ def test_carried_is_a_question_where_the_gyroscope_turns_as_gnss_does(course_rad
     assert codes["carried"] == (Code.CARRIED_OR_SPOOFED if is_asked else Code.NOT_CARRIED).value
 
 
+def doubt(statement: TrustMonitor) -> str | None:
+    codes = {test.name: test.reason_code.code for test in statement.tests if test.reason_code}
+    return codes["carried"] if statement.doubtful else None
+
+
+@pytest.mark.parametrize(
+    ("course_rad_s", "opened_s", "why"),
+    [(0.01, 0, None), (0.0, 0, Code.CROSSING_TURNS), (0.01, -86_400, Code.CROSSING_LONG)],
+)
+def test_a_crossing_is_doubted_where_turns_disagree_and_after_a_day(
+    course_rad_s: float, opened_s: int, why: Code | None
+) -> None:
+    """Driven with an odometer at zero: GNSS is spoofed, or the crossing is never closed."""
+    process = Process(Config())
+    entered = crossing(0, True).model_copy(update={"since_ns": opened_s * SECOND_NS})
+    list(process.handle(entered))
+    statement = carried(process, range(1, 66), 0.01, course_rad_s)
+    assert statement.outcome is Outcome.NOT_EVALUATED
+    assert doubt(statement) == (None if why is None else why.value)
+
+
+def test_a_crossing_without_an_odometer_is_doubted() -> None:
+    process = Process(Config())
+    list(process.handle(crossing(0, True)))
+    (motion,) = (
+        one
+        for one in process.handle(Tick(now_ns=20 * SECOND_NS))
+        if isinstance(one, TrustMonitor) and one.monitor == "motion"
+    )
+    assert doubt(motion) == Code.CROSSING_WITHOUT_WHEELS.value
+
+
 def test_the_question_silences_nothing() -> None:
     """Parked and spoofed along a straight road looks like a ferry; the rules accuse as without the question."""
     statement = carried(Process(Config()), range(1, 120), 0.0, 0.0)

@@ -165,6 +165,8 @@ CASES = [
                  id="6-evidence"),
     pytest.param(with_(SAFE, replace(says(Monitor.INERTIAL_LONG), doubtful=True)), 6,
                  (explain(Code.MONITOR_DOUBTFUL, monitor="inertial_long"),), id="6-doubt"),
+    pytest.param(with_(SAFE, replace(undecided(Monitor.MOTION), doubtful=True)), 6,
+                 (explain(Code.MONITOR_DOUBTFUL, monitor="motion"),), id="6-doubt-without-a-result"),
     pytest.param(with_(SAFE, SILENT), 7,
                  (explain(Code.MONITOR_SILENT, monitor="inertial_long", since_ns=992 * SECOND_NS),), id="7-silent"),
     pytest.param(replace(SAFE, statements={m: s for m, s in SAFE.statements.items() if m is not Monitor.EVIDENCE}), 7,

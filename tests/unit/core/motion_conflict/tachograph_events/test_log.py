@@ -65,7 +65,7 @@ def test_time_conflicts_are_ranked_by_their_difference() -> None:
     assert small.purposes == (RecordPurpose.MOST_SERIOUS_OF_YEAR,)
 
 
-def test_an_active_event_of_an_earlier_run_has_no_length() -> None:
+def test_an_active_event_of_an_earlier_run_that_was_not_published_again_has_no_length() -> None:
     log = TachographLog()
     (begun,) = log.update(KIND, START_NS, START_NS)
     after = TachographLog()
