@@ -82,7 +82,8 @@ def _lane_faults(pack: EvidencePack, plaza: Plaza, verdict: str) -> Iterator[str
 def _threshold_faults(pack: EvidencePack, given: PulseAssignment) -> Iterator[str]:
     """Name what an assignment rests on that neither the crossing states nor a ledger may be set to."""
     charged, crossed = pack.charged, pack.crossed
-    if (charged.lanes, charged.modes) != (crossed.lanes, crossed.modes):
+    # A final statement without a lane took back what the crossing decided, as for a delta that came too late.
+    if charged.lane is not None and (charged.lanes, charged.modes) != (crossed.lanes, crossed.modes):
         yield "lanes and times of the final statement are not those of the crossing"
     if (charged.crossing_sd_s or 0.0) < (crossed.crossing_sd_s or 0.0):
         yield "the final statement is surer of the crossing time than the crossing"

@@ -183,7 +183,7 @@ def test_a_pack_confirms_its_lane_by_its_own_pulse_and_by_limits_of_a_ledger(gat
     given = pack.assignment
     assert given is not None and list(pack_faults(pack, COUNTED)) == []
     other = pack.pulses[0].model_copy(update={"lane": "n1"})
-    unconfirmed = {"assignment": None, "pulses": (), "verdict": explain("ledger.unconfirmed")}
+    unconfirmed: dict[str, object] = {"assignment": None, "pulses": (), "verdict": explain("ledger.unconfirmed")}
     changes: list[tuple[dict[str, object], str]] = [
         ({"lane": "n1", "pulses": (other,), "assignment": given.model_copy(update={"pulses": (other,)})},
          "the lane that is charged is not that of the final statement"),
