@@ -104,7 +104,7 @@ class SettingsCommand(Message):
     request_id: Name
     action: SettingsAction
     by: Name = "unknown"
-    changes: Annotated[dict[SettingName, ValueText | None], Field(max_length=CHANGES_MAXIMUM)] = Field(
+    changes: Annotated[dict[Name, ValueText | None], Field(max_length=CHANGES_MAXIMUM)] = Field(
         default_factory=dict
     )  # value as JSON; None: the default
     version: Count | None = None  # of RESTORE; 1: the newest

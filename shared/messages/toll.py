@@ -490,7 +490,7 @@ class PulseAssignment(Message):
     rivals: Annotated[tuple[RivalCrossing, ...], Field(max_length=PULSES)]
     detector_sd_s: Seconds
     missed: Ratio  # share of vehicles that detectors miss
-    others_per_s: Annotated[float, Field(gt=0.0), unit("1/s")]  # pulses of a lane that are of no crossing
+    others_per_s: Annotated[float, Field(gt=0.0, le=1e6), unit("1/s")]  # pulses of a lane that are of no crossing
     least_probability: Ratio  # that a charge requires
     probability: Ratio
 

@@ -159,7 +159,7 @@ def test_infinite_and_huge_numbers_are_refused_wherever_they_stand(kind: type[Me
                 kind.model_validate(replaced(whole, place, huge), strict=True)
 
 
-REACTORS = [row.name for row in PROCESSES if 2 <= row.layer <= 4]
+REACTORS = [row.name for row in PROCESSES if row.is_function]
 ROAD_SIDE = {row.name for row in PROCESSES if "obu" not in {role.value for role in row.roles}}
 
 
