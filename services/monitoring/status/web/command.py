@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from queue import Full, Queue
+from typing import TypeVar
 from uuid import uuid4
 
 from fastapi import FastAPI, HTTPException, Request
@@ -10,6 +11,7 @@ from pydantic import ValidationError
 from pydantic_core import from_json, to_json
 from typing_extensions import TypedDict
 
+from shared.messages.base import Message
 from shared.messages.operation import ModeCommand, OperatorCommand
 from shared.page import body
 from shared.page.answers import answer, reference_to, refusals
@@ -17,6 +19,8 @@ from shared.page.answers import answer, reference_to, refusals
 from ..state import State
 from .access.guard import insist_on
 from .access.rights import Right
+
+M = TypeVar("M", bound=Message)
 
 MAX_PENDING = 8  # commands that are not yet published
 BODY = {"content": {"application/json": {"schema": reference_to(ModeCommand)}}, "required": True}
@@ -49,10 +53,7 @@ class CommandApi:
         """Publish a command; 202 with the request ID that `mode/answer` will carry."""
         command = _command(await body.read(request))
         insist_on(request, right_of(command.command))
-        try:
-            self.commands.put_nowait(command)
-        except Full as error:
-            raise HTTPException(503, "the bus does not take the commands before this one; try again") from error
+        put(self.commands, command)
         return {"request_id": command.request_id}
 
 
@@ -62,13 +63,33 @@ def right_of(command: OperatorCommand) -> Right:
 
 
 def _command(data: bytes) -> ModeCommand:
-    """Read a command; what is wrong with it is the answer."""
+    example = '{"command": "cold_start", "source": "gnss0"}'
+    return read_command(data, ModeCommand, example, lambda given: {"request_id": new_id(), **given})
+
+
+def new_id() -> str:
+    """ID of a request, by which its answer on the bus is known."""
+    return uuid4().hex[:12]
+
+
+def read_command(
+    data: bytes, kind: type[M], example: str, complete: Callable[[dict[str, object]], dict[str, object]]
+) -> M:
+    """Read a command, whose fields `complete` adds to; raises 422 with what is wrong with it."""
     try:
         given = from_json(data, allow_inf_nan=False)
         if not isinstance(given, dict):
-            raise ValueError('a command is an object such as {"command": "cold_start", "source": "gnss0"}')
-        return ModeCommand.model_validate_json(to_json({"request_id": uuid4().hex[:12], **given}))
+            raise ValueError(f"a command is an object such as {example}")
+        return kind.model_validate_json(to_json(complete(given)))
     except ValidationError as error:
         raise body.invalid(error) from error
     except ValueError as error:
         raise HTTPException(422, str(error)) from error
+
+
+def put(commands: "Queue[M]", command: M) -> None:
+    """Queue a command for the bus; raises 503 while those before it are not taken."""
+    try:
+        commands.put_nowait(command)
+    except Full as error:
+        raise HTTPException(503, "the bus does not take the commands before this one; try again") from error

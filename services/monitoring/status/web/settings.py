@@ -3,12 +3,9 @@
 import logging
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from queue import Full, Queue
-from uuid import uuid4
+from queue import Queue
 
-from fastapi import FastAPI, HTTPException, Request
-from pydantic import ValidationError
-from pydantic_core import from_json, to_json
+from fastapi import FastAPI, Request
 from typing_extensions import TypedDict
 
 from shared.messages.settings import SettingsAnswer, SettingsCatalogue, SettingsCommand, SettingsState
@@ -18,7 +15,7 @@ from shared.words.words import reason
 
 from ..state import State
 from .access.guard import visitor_of
-from .command import CommandAccepted
+from .command import CommandAccepted, new_id, put, read_command
 
 log = logging.getLogger(__name__)
 
@@ -91,23 +88,11 @@ class SettingsApi:
     async def command(self, request: Request) -> CommandAccepted:
         """Check or change settings, confirm a change or take it back; 202 with the request ID of the answer."""
         visitor = visitor_of(request)
-        command = _command(await body.read(request), visitor.name if visitor else "unknown")
+        by = (visitor.name if visitor else "unknown")[:64]
+        command = read_command(
+            await body.read(request), SettingsCommand, '{"action": "check", "changes": {...}}',
+            lambda given: {**given, "request_id": new_id(), "by": by},
+        )  # fmt: skip
         log.info("settings: %s by %s: %s", command.action, command.by, ", ".join(command.changes))
-        try:
-            self.commands.put_nowait(command)
-        except Full as error:
-            raise HTTPException(503, "the bus does not take the commands before this one; try again") from error
+        put(self.commands, command)
         return {"request_id": command.request_id}
-
-
-def _command(data: bytes, by: str) -> SettingsCommand:
-    """Read a command; what is wrong with it is the answer."""
-    try:
-        given = from_json(data, allow_inf_nan=False)
-        if not isinstance(given, dict):
-            raise ValueError('a command is an object such as {"action": "check", "changes": {...}}')
-        return SettingsCommand.model_validate_json(to_json({**given, "request_id": uuid4().hex[:12], "by": by[:64]}))
-    except ValidationError as error:
-        raise body.invalid(error) from error
-    except ValueError as error:
-        raise HTTPException(422, str(error)) from error

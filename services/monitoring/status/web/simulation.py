@@ -2,12 +2,9 @@
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from queue import Full, Queue
-from uuid import uuid4
+from queue import Queue
 
 from fastapi import FastAPI, HTTPException, Request
-from pydantic import ValidationError
-from pydantic_core import from_json, to_json
 
 from shared.attacks import BY_NAME
 from shared.messages.simulation import AttackCommand, SimulationAttack
@@ -17,7 +14,7 @@ from shared.page.answers import reference_to, refusals
 from ..state import State
 from ..views import simulation as views
 from ..views.models.simulation import Simulation
-from .command import CommandAccepted
+from .command import CommandAccepted, new_id, put, read_command
 
 MAX_PENDING = 8  # commands that are not yet published
 BODY = {"content": {"application/json": {"schema": reference_to(SimulationAttack)}}, "required": True}
@@ -55,26 +52,18 @@ class SimulationApi:
                 409, "the data of this unit are not simulated, so nothing can be attacked; run obu demo"
             )
         command = _command(await body.read(request))
-        try:
-            self.commands.put_nowait(command)
-        except Full as error:
-            raise HTTPException(503, "the bus does not take the commands before this one; try again") from error
+        put(self.commands, command)
         return {"request_id": command.request_id}
 
 
 def _command(data: bytes) -> SimulationAttack:
-    """Read a command; what is wrong with it is the answer."""
-    try:
-        given = from_json(data, allow_inf_nan=False)
-        if not isinstance(given, dict):
-            raise ValueError('a command is an object such as {"command": "start", "attack": "drag_off"}')
-        command = SimulationAttack.model_validate_json(to_json({**given, "request_id": uuid4().hex[:12]}))
-        if command.command is AttackCommand.START:
+    example = '{"command": "start", "attack": "drag_off"}'
+    command = read_command(data, SimulationAttack, example, lambda given: {**given, "request_id": new_id()})
+    if command.command is AttackCommand.START:
+        try:
             if command.attack is None:
                 raise ValueError("name the attack that shall start; GET /api/simulation lists them")
             BY_NAME[command.attack].complete(command.parameters)
-    except ValidationError as error:
-        raise body.invalid(error) from error
-    except ValueError as error:
-        raise HTTPException(422, str(error)) from error
+        except ValueError as error:
+            raise HTTPException(422, str(error)) from error
     return command
