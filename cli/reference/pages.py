@@ -1,6 +1,5 @@
 """What is printed from code: the pages of docs/reference, and parts of other files."""
 
-import importlib
 import inspect
 import json
 from collections.abc import Iterator
@@ -18,7 +17,7 @@ from shared.missing_sensors import MISSING_COMBINATIONS
 from shared.processes import PROCESSES, Role, running
 from shared.protocols.registry import PROTOCOLS
 from shared.rejects import PARTS
-from shared.runtime.config import Section, Vehicle, own_fields
+from shared.runtime.config import Section, Vehicle, own_fields, settings_model
 from shared.words.words import PLACEHOLDER, words
 
 from ..papers.coverage.page import coverage_page
@@ -41,7 +40,7 @@ def configuration_pages() -> str:
     """Print every setting of every process."""
     parts = [*_tables("vehicle", Vehicle)]
     for row in PROCESSES:
-        config = cast("type[Section]", importlib.import_module(f"services.{row.name}.process").Config)
+        config = settings_model(row.name)
         parts += _tables(row.name, config)
     return "\n".join(parts)
 

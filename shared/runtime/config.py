@@ -1,6 +1,7 @@
 """The vehicle's file: one TOML document, one section a process."""
 
 import difflib
+import importlib
 import logging
 import os
 import tomllib
@@ -8,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from math import pi
 from pathlib import Path
-from typing import Self, TypeVar
+from typing import Self, TypeVar, cast
 from urllib.parse import quote, unquote, urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
@@ -231,6 +232,11 @@ class VehicleFile:
         except ValidationError as error:
             cause, hint = _explain(name, kind, error)
             raise ConfigError(f"{self.path}: {cause}{hint}", cause) from error
+
+
+def settings_model(process: str) -> type[Section]:
+    """Model of a process's settings."""
+    return cast("type[Section]", importlib.import_module(f"services.{process}.process").Config)
 
 
 def vehicle_in(context: object) -> VehicleFile | None:

@@ -26,11 +26,11 @@ from ..messages.base import Message, Persistent, RawBytes, StampedMessage, Tick
 from ..messages.imu import ImuSamples
 from ..messages.operation import ConsumptionOrder, ProcessLoad
 from ..processes import BY_NAME
-from ..settings.digests import digest_for
+from ..settings.digests import digest_for, digest_in
 from ..settings.held import HeldSettings
 from ..topics import BY_MESSAGE, publications, subscriptions
 from .clock import boot_id
-from .config import Section, VehicleFile, broker_address, load_vehicle, state_dir
+from .config import Section, VehicleFile, broker_address, load_vehicle, settings_model, state_dir
 
 log = logging.getLogger(__name__)
 
@@ -120,15 +120,12 @@ class Journal:
 
 def load_process(name: str, vehicle: VehicleFile) -> object:
     """Construct a process with its section of the vehicle's file."""
-    module = importlib.import_module(f"services.{name}.process")
-    kind = cast("type[Section]", module.Config)
-    return cast("Callable[[Section], object]", module.Process)(vehicle.section(name, kind))
+    return _made(name, vehicle.section(name, settings_model(name)))
 
 
-def settings_digest(name: str, vehicle: VehicleFile) -> str:
-    """Digest of what a process reads of a vehicle's file; raises `ConfigError`."""
+def _made(name: str, section: Section) -> object:
     module = importlib.import_module(f"services.{name}.process")
-    return digest_for(name, vehicle, vehicle.section(name, cast("type[Section]", module.Config)))
+    return cast("Callable[[Section], object]", module.Process)(section)
 
 
 def run_process(name: str, vehicle: VehicleFile, reread: Callable[[], VehicleFile] = load_vehicle) -> None:
@@ -138,10 +135,11 @@ def run_process(name: str, vehicle: VehicleFile, reread: Callable[[], VehicleFil
     """
     start_logging(name)
     os.umask(0o007)  # processes with users of their own share the state folder by their group
-    process, digest = load_process(name, vehicle), settings_digest(name, vehicle)
+    section = vehicle.section(name, settings_model(name))
+    process = _made(name, section)
     bus = Bus(name, vehicle.name, broker_address(), subscriptions(name), state_dir())
     bus.vehicle_toml = vehicle.text
-    bus.settings = HeldSettings(digest, lambda: settings_digest(name, reread()))
+    bus.settings = HeldSettings(digest_for(name, vehicle, section), lambda: digest_in(name, reread()))
 
     def stop(_number: int, _frame: FrameType | None) -> None:
         bus.stopping = True

@@ -3,7 +3,6 @@
 A name is that of the section and of the key, `core.fusion.gnss.delay_s`; facts of the vehicle begin with `vehicle.`.
 """
 
-import importlib
 import inspect
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from pydantic import BaseModel
 
 from ..errors import UserError
 from ..processes import BY_NAME, Role, running
-from ..runtime.config import Section, Vehicle, VehicleFile, VehicleSettings, own_fields
+from ..runtime.config import Section, Vehicle, VehicleFile, VehicleSettings, own_fields, settings_model
 
 FACTS = "vehicle"
 # Beginnings of the bounds of JSON schema, and how they are said.
@@ -46,9 +45,7 @@ class Setting:
 
 def section_of(name: str) -> type[Section]:
     """Model of a section: of the facts of the vehicle, or of a process's settings."""
-    if name == FACTS:
-        return Vehicle
-    return cast("type[Section]", importlib.import_module(f"services.{name}.process").Config)
+    return Vehicle if name == FACTS else settings_model(name)
 
 
 @cache

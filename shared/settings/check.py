@@ -16,8 +16,8 @@ from ..messages.explanation import QUOTED_LENGTH, Explanation, QuotedText, expla
 from ..messages.settings import SettingDifference, SettingRow
 from ..recording.writer import without_users
 from ..runtime.config import VehicleFile, parse_vehicle
-from .catalogue import FACTS, Setting, catalogue, find, section_of, value_of, values_of
-from .digests import digest_for
+from .catalogue import FACTS, Setting, catalogue, find, value_of, values_of
+from .digests import digest_in
 from .edit import REMOVED, checked, differences, edited, touched
 from .question import Answer, Question
 
@@ -115,7 +115,7 @@ def rows(file: VehicleFile) -> list[SettingRow]:
 
 def digests(file: VehicleFile) -> dict[str, str]:
     """Digest of what each process reads."""
-    return {name: digest_for(name, file, file.section(name, section_of(name))) for name in file.processes}
+    return {name: digest_in(name, file) for name in file.processes}
 
 
 def shown(value: object) -> str:

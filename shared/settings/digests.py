@@ -4,7 +4,7 @@ import hashlib
 import json
 
 from ..processes import BY_NAME
-from ..runtime.config import Section, VehicleFile
+from ..runtime.config import Section, VehicleFile, settings_model
 
 DIGITS = 16
 # Beginnings of the sections that a process reads beside its own: the page says whether all data are simulated, and
@@ -23,3 +23,8 @@ def digest_for(process: str, file: VehicleFile, section: Section) -> str:
     if process in WHOLE:
         read.append(file.text)
     return hashlib.sha256(json.dumps(read, sort_keys=True, default=str).encode()).hexdigest()[:DIGITS]
+
+
+def digest_in(process: str, file: VehicleFile) -> str:
+    """Digest of what a process reads of a file; raises `ConfigError` for an invalid section."""
+    return digest_for(process, file, file.section(process, settings_model(process)))
