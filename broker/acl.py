@@ -7,17 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from shared.processes import PROCESSES, Kind, ProcessRow
 from shared.programs import ROLES
 from shared.runtime.credentials import CHECK, OBSERVERS
-from shared.topics import (
-    BROKER_LOG,
-    BY_NAME,
-    REPLAY,
-    SETTINGS,
-    Topic,
-    measurements,
-    on_request,
-    publications,
-    subscriptions,
-)
+from shared.topics import BROKER_LOG, BY_NAME, REPLAY, Topic, measurements, publications, readable
 
 ANY_VEHICLE = "+"
 
@@ -79,8 +69,7 @@ def _lines(row: ProcessRow, prefix: str) -> Iterator[str]:
     if row.observes_all:
         yield f"topic read {prefix}#\n"
     else:
-        read = (*subscriptions(row.name), *on_request(row.name), BY_NAME[SETTINGS])
-        yield from dict.fromkeys(f"topic read {prefix}{topic.name}\n" for topic in read)
+        yield from (f"topic read {prefix}{topic.name}\n" for topic in readable(row.name))
     yield from (f"topic write {prefix}{_own(topic, row.name)}\n" for topic in publications(row.name))
     if row.name == "monitoring.health":
         yield f"topic read {BROKER_LOG}\n"

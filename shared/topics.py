@@ -333,6 +333,11 @@ def on_request(process: str) -> tuple[Topic, ...]:
     return tuple(BY_NAME[name] for row in PROCESSES if row.name == process for name in row.on_request)
 
 
+def readable(process: str) -> tuple[Topic, ...]:
+    """List what a process has the right to read: what it listens to, may ask for, and the settings of the unit."""
+    return tuple(dict.fromkeys((*subscriptions(process), *on_request(process), BY_NAME[SETTINGS])))
+
+
 def publications(process: str) -> tuple[Topic, ...]:
     """List what a process may say."""
     return tuple(t for t in TOPICS if process in t.producers)

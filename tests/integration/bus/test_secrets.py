@@ -16,7 +16,7 @@ from shared.messages.navigation import LastPosition
 from shared.messages.operation import ProcessState
 from shared.runtime import credentials
 from shared.runtime.config import BrokerAddress, parse_vehicle
-from shared.topics import BY_NAME, SETTINGS, TOPICS, on_request, subscriptions
+from shared.topics import TOPICS, readable, subscriptions
 from tests.support.bus import brokers
 from tests.support.bus.mqtt import Client
 from tests.support.patience import HANGS_S
@@ -115,7 +115,7 @@ def test_rights_are_those_of_the_two_tables_and_of_this_vehicle_alone(broker: br
                 for vehicle in ("car", "other"):
                     each.publish(f"obu/{vehicle}/{topic.name.replace('+', name)}", name)
         for name, each in clients.items():
-            patterns = [topic.name for topic in (*subscriptions(name), *on_request(name), BY_NAME[SETTINGS])]
+            patterns = [topic.name for topic in readable(name)]
             wanted = [
                 topic for topic in TOPICS
                 if name == "observer.1" or any(topic_matches_sub(pattern, topic.name) for pattern in patterns)
