@@ -97,6 +97,18 @@ class ProcessKilled(Exception):
     """The process was killed here."""
 
 
+def batches(world: World) -> Iterator[tuple[int, list[tuple[int, Frame | Message]]]]:
+    """Cut what a simulated plaza sends into what is delivered together, with the time [ns] of the end of each."""
+    now_ns = START_NS
+    batch: list[tuple[int, Frame | Message]] = []
+    for due_ns, item in world:
+        while due_ns >= now_ns + BATCH_NS:
+            now_ns += BATCH_NS
+            yield now_ns, batch
+            batch = []
+        batch.append((due_ns, item))
+
+
 @dataclass
 class Result:
     """What a campaign amounted to."""
@@ -206,7 +218,7 @@ class Campaign:
         started = time.process_time()
         stop_ns: int | None = None
         counted: set[int] = set()
-        for step, (now_ns, items) in enumerate(self._batches()):
+        for step, (now_ns, items) in enumerate(batches(self.world)):
             self._receive(now_ns, items)
             self._serve_ledger(now_ns, second=step % SECOND_STEPS == 0)
             if step % SECOND_STEPS == 0 and self.core is not None:
@@ -221,16 +233,6 @@ class Campaign:
                 print(f"{(now_ns - START_NS) / NS:.0f} s, {len(self.truth)} passages, {self.kills.total()} kills",
                       file=sys.stderr, flush=True)  # fmt: skip
         return self._result(counted, (now_ns - START_NS) * 1e-9, time.process_time() - started)
-
-    def _batches(self) -> Iterator[tuple[int, list[tuple[int, Frame | Message]]]]:
-        now_ns = START_NS
-        batch: list[tuple[int, Frame | Message]] = []
-        for due_ns, item in self.world:
-            while due_ns >= now_ns + BATCH_NS:
-                now_ns += BATCH_NS
-                yield now_ns, batch
-                batch = []
-            batch.append((due_ns, item))
 
     def _receive(self, now_ns: int, items: list[tuple[int, Frame | Message]]) -> None:
         """Deliver what arrives within 100 ms; a kill is due every so many passages."""

@@ -12,14 +12,14 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from datetime import date
 from pathlib import Path
 from typing import Any
 
 from benchmarks import tables
-from benchmarks.toll_campaign import near_gate
+from benchmarks.toll_campaign import BATCH_NS, START_NS, batches, near_gate
 from cli.campaign import Job, Size, options_of, run, worth_storing
 from services.core.toll.core import VERSION, Core
 from services.core.toll.settings import Settings as CoreSettings
@@ -46,8 +46,6 @@ from shared.toll.plaza import Plaza, parse_plaza, plaza_path
 from shared.v2x import its_time
 
 NS = 1_000_000_000
-BATCH_NS = 100_000_000
-START_NS = 1_790_000_000 * NS
 WARM_UP_NS = 30 * NS  # before the first delta position; these vehicles are not counted
 DRAIN_S = 200.0  # until each pulse has its outcome
 PASSAGES, VEHICLES = 850, 140  # of a part, all vehicles; a part has some 600 counted contracts
@@ -173,7 +171,7 @@ class Run:
         started = time.process_time()
         stop_ns: int | None = None
         counted: set[int] = set()
-        for step, (now_ns, items) in enumerate(self._batches()):
+        for step, (now_ns, items) in enumerate(batches(self.world)):
             self._receive(now_ns, items)
             if step % (NS // BATCH_NS) == 0:
                 self._second(now_ns)
@@ -184,16 +182,6 @@ class Run:
             if stop_ns is not None and now_ns >= stop_ns:
                 break
         return self._result(counted, time.process_time() - started)
-
-    def _batches(self) -> Iterator[tuple[int, list[tuple[int, Frame | Message]]]]:
-        now_ns = START_NS
-        batch: list[tuple[int, Frame | Message]] = []
-        for due_ns, item in self.world:
-            while due_ns >= now_ns + BATCH_NS:
-                now_ns += BATCH_NS
-                yield now_ns, batch
-                batch = []
-            batch.append((due_ns, item))
 
     def _receive(self, now_ns: int, items: list[tuple[int, Frame | Message]]) -> None:
         cams = [self.world.cam(item.data, due_ns) for due_ns, item in items if isinstance(item, Frame)]
