@@ -110,11 +110,9 @@ def draft_of(path: Path) -> Draft:
             f"{path.name} has neither latitude and longitude nor three accelerations with three rates; its columns are "
             f"{', '.join(table.columns)[:300]}. Write a mapping: docs/how-to/import-a-drive.md"
         )
-    draft.text = _text(path, tables, draft)
-    used = {*found.values()}
-    if unused := [name for name in table.columns if name not in used]:
+    if unused := [name for name in table.columns if name not in found.values()]:
         draft.open.append(f"not used: {', '.join(unused)[:300]}")
-        draft.text = _text(path, tables, draft)
+    draft.text = _text(path, tables, draft)
     parse_mapping(draft.text, "the draft")
     draft.preview = list(_preview(table, found, str(time["unit"])))
     return draft
