@@ -45,11 +45,13 @@ def answer(question: Question) -> Answer:
     """Judge a change; without one, describe the text that holds."""
     try:
         before = parse_vehicle(question.text, question.path)
-        if fixed := [name for name in question.changes if FIXED.fullmatch(name) or _is_long(before, name)]:
+        stored = {name: _stored(before, name) for name in question.changes}
+        if fixed := [name for name, value in stored.items() if FIXED.fullmatch(name) or len(value) > VALUE]:
             return Answer(refusals=tuple(refusal(Code.FIXED, setting=name) for name in fixed))
         if question.replacement is None:
             changed, refusals = asked_values(question.changes, (FACTS, *before.processes))
-            refusals += tuple(refusal(Code.SECRET, setting=name) for name in changed if _holds_user(before, name))
+            # A change would lose what is not shown.
+            refusals += tuple(refusal(Code.SECRET, setting=name) for name, value in stored.items() if _has_user(value))
             if refusals:
                 return Answer(refusals=refusals)
             text = edited(question.text, changed) if changed else question.text
@@ -91,14 +93,14 @@ def asked_values(
         try:
             if find(name).section not in sections:
                 raise UserError(name)
-            value: object = REMOVED if text is None else json.loads(text)
+            value: object = None if text is None else json.loads(text)
         except UserError:
             refusals.append(refusal(Code.UNKNOWN, setting=name))
             continue
         except ValueError as error:
             refusals.append(refusal(Code.INVALID, error=f"{name}: {error}"))
             continue
-        if without_users(_plainly(value) if text is not None else "") != (_plainly(value) if text is not None else ""):
+        if _has_user(_plainly(value)):
             refusals.append(refusal(Code.SECRET, setting=name))
         elif any(isinstance(one, str) and OPENS_FILE.search(one) for one in _leaves(value)):
             refusals.append(refusal(Code.FIXED, setting=name))
@@ -147,22 +149,17 @@ def _leaves(value: object) -> Iterator[object]:
         yield value
 
 
-def _stored(file: VehicleFile, name: str) -> object:
-    """Value that holds of a setting; None where its section is invalid or the setting unknown."""
+def _stored(file: VehicleFile, name: str) -> str:
+    """Value that holds of a setting, as JSON; null where its section is invalid or the setting unknown."""
     try:
-        return value_of(file, find(name))
+        return _plainly(value_of(file, find(name)))
     except UserError:
-        return None
+        return _plainly(None)
 
 
-def _holds_user(file: VehicleFile, name: str) -> bool:
-    """Whether a value holds a user or password, which its change from a page would lose."""
-    text = _plainly(_stored(file, name))
+def _has_user(text: str) -> bool:
+    """Whether a value holds a user or password of an address."""
     return without_users(text) != text
-
-
-def _is_long(file: VehicleFile, name: str) -> bool:
-    return len(_plainly(_stored(file, name))) > VALUE
 
 
 def _plainly(value: object) -> str:

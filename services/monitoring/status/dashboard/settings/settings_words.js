@@ -2,7 +2,6 @@
 export const settingsWords = {
   title: "Settings",
   note: "of this unit, by process",
-  loading: "The settings are being read.",
   silent: "The settings are not known yet",
   silentWhy: "controller.settings reads them after its start, which takes some seconds.",
   down: "controller.settings does not run",
