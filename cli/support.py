@@ -7,6 +7,8 @@ import re
 import shutil
 import sys
 import time
+import urllib.error
+import urllib.request
 import zipfile
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -14,7 +16,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Annotated
 
-import httpx
 import typer
 
 from shared import VERSION
@@ -32,6 +33,8 @@ NS = 1_000_000_000
 MINUTE_S = 60.0
 LOG_BYTES = 256 * 1024  # of the end of each log
 LOGS = 40  # files
+ANSWER_S = 5.0
+NOT_HEALTHY = 503  # of an answer that tells what is not
 # Settings whose value is a secret as a whole, wherever they stand; addresses lose their users and passwords.
 SECRET = re.compile(r"(?im)^(\s*[\w.-]*(?:password|secret|token|passphrase)[\w.-]*\s*=\s*)(?!\[|\{).*$")
 READ_ME = """What `obu support` has collected. Nothing was sent: look through it before you pass it on.
@@ -125,9 +128,11 @@ def _health(state: Path) -> str:
     found: dict[str, object] = {}
     for name in ("health", "outages", "trust"):
         try:
-            answer = httpx.get(f"{address}/api/{name}", timeout=5.0)
-            found[name] = answer.json() if answer.status_code in (200, 503) else {"error": answer.status_code}
-        except (httpx.HTTPError, ValueError) as error:
+            with urllib.request.urlopen(f"{address}/api/{name}", timeout=ANSWER_S) as answer:  # the unit's own address
+                found[name] = json.load(answer)
+        except urllib.error.HTTPError as error:
+            found[name] = json.load(error) if error.code == NOT_HEALTHY else {"error": error.code}
+        except (OSError, ValueError) as error:
             found[name] = {"error": str(error)}
     return json.dumps(found, indent=1)
 

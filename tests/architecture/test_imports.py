@@ -1,9 +1,14 @@
 """Who may import whom: a process knows `shared` and itself, and its mathematics knows no I/O."""
 
 import ast
+import importlib.metadata
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from shared.processes import PROCESSES, Role, running
 from tests.support.cases import each
@@ -50,6 +55,8 @@ OF_A_UNIT = {
     "fleet/web": {"services.monitoring.status.page"},
     "fleet/simulate": {"services.monitoring.uplink.outbox", "services.monitoring.uplink.sending"},
 }
+# They come with pydantic, fastapi, python-can and the like, and alembic.
+INSTALLED_BY_OTHERS = {"pydantic-core", "starlette", "h11", "sqlalchemy"}
 SERVING = ("fastapi", "starlette", "uvicorn", "h11", "prometheus_client")
 
 
@@ -159,3 +166,23 @@ def test_a_unit_that_reports_to_no_centre_runs_and_loads_nothing_for_it() -> Non
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
     assert not done.stdout.strip()
+
+
+def test_what_a_unit_imports_is_installed_with_it() -> None:
+    """A package of the tests alone would be missing in a vehicle, and in its commands."""
+    packages = importlib.metadata.packages_distributions()
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    wanted = [*project["dependencies"], *project["optional-dependencies"]["fleet"]]
+    installed = {canonicalize_name(Requirement(text).name) for text in wanted}
+    installed |= INSTALLED_BY_OTHERS
+    ours = {"cli", "services", "shared", "broker", "fleet", "deploy", "tests", "benchmarks"}
+    missing = {
+        (str(path.relative_to(ROOT)), module)
+        for folder in ("cli", "services", "shared", "broker", "fleet")
+        for path in (ROOT / folder).rglob("*.py")
+        if "node_modules" not in path.parts
+        for module in imports_of(path)
+        if (top := module.split(".")[0]) not in ours | set(sys.stdlib_module_names)
+        and not {canonicalize_name(name) for name in packages.get(top, [])} & installed
+    }
+    assert not missing
