@@ -17,6 +17,8 @@ from shared.bus.contract import table
 from shared.errors import UserError
 from shared.runtime.config import address_file, state_dir
 
+from .qr import show
+
 LINK_MINUTES = 15.0
 SHOWN_OF_HASH = 8
 DAY_S = 86_400.0
@@ -96,6 +98,7 @@ def revoke_token(name: Annotated[str, typer.Argument(help="As `obu token list` s
 
 
 def show_link(
+    *,
     role: RoleOption = TokenRole.ADMIN,
     minutes: Annotated[
         float, typer.Option(min=0.1, max=10_080.0, metavar="MINUTES", help="Minutes until the link expires.")
@@ -104,6 +107,7 @@ def show_link(
         str | None,
         typer.Option(metavar="URL", help="Address of the page as a browser reaches it, such as https://obu.local."),
     ] = None,
+    qr: Annotated[bool, typer.Option("--qr", help="Print it as a QR code too, for the camera of a phone.")] = False,
 ) -> int:
     """Print a link that logs in one browser, once.
 
@@ -112,10 +116,14 @@ def show_link(
     Examples:
     [bold]obu token show-link[/]
     [bold]obu token show-link --role view --minutes 60 --address http://192.168.1.7:8080[/]
+    [bold]obu token show-link --qr[/]
     """
     folder = state_dir()
     secret = _tokens().add_temporary("link", Right(role), seconds=minutes * 60.0, single_use=True)
-    print(login_link(address or page_address(folder), secret))
+    link = login_link(address or page_address(folder), secret)
+    if qr:
+        show(link)
+    print(link)
     typer.echo(f"logs in one browser as {role}, within {minutes:g} min", err=True)
     return 0
 

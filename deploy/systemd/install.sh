@@ -62,6 +62,7 @@ for name in $(.venv/bin/python -c "$optional"); do
 done
 systemctl enable --quiet "$role.target"
 systemctl restart "$role.target"
+[ -z "${OBU_NO_LINK:-}" ] || exit 0
 echo "to log in on its page (docs/how-to/let-others-look.md):"
 OBU_VEHICLE=/etc/obu/vehicle.toml OBU_STATE=/var/lib/obu .venv/bin/python -m cli token show-link || true
 echo "the unit runs; status: 'systemctl list-dependencies $role.target', logs: 'journalctl -fu \"obu@*\"'"
