@@ -14,7 +14,7 @@ NAME=/etc/avahi/services/obu.service
 PORT=8080
 LOG=${OBU_INSTALL_LOG:-/var/log/obu-install.log}
 ROOM_MB=2000 # packages, and what pip unpacks meanwhile
-STEPS=7
+STEPS=7 START_S=120 # until the page answers
 
 help() {
     cat <<'TEXT'
@@ -208,7 +208,7 @@ alive() { # seconds
 
 finish() {
     step "the unit starts"
-    alive 120 || fail "the unit does not answer at http://127.0.0.1:$PORT; \`obu doctor\` and \`journalctl -u 'obu@*' -n 50\` say why"
+    alive "$START_S" || fail "the unit does not answer at http://127.0.0.1:$PORT; \`obu doctor\` and \`journalctl -u 'obu@*' -n 50\` say why"
     host=$(hostname).local
     grep -q '^OBU_HTTP_HOST=127' "$CONFIG/obu.env" && host=127.0.0.1
     if [ -n "$ssid" ]; then
@@ -257,7 +257,7 @@ upgrade() {
     number=2
     build
     start_services
-    alive 120 && fail "the former version runs again; what kept the new one out is in $LOG"
+    alive "$START_S" && fail "the former version runs again; what kept the new one out is in $LOG"
     fail "the former version does not start either; \`obu doctor\` and $LOG say why"
 }
 

@@ -61,7 +61,7 @@ for name in $(.venv/bin/python -c "$optional"); do
     fi
 done
 systemctl enable --quiet "$role.target"
-systemctl restart "$role.target"
+systemctl restart --no-block "$role.target" # a process that cannot start would hold this up without end
 [ -z "${OBU_NO_LINK:-}" ] || exit 0
 echo "to log in on its page (docs/how-to/let-others-look.md):"
 OBU_VEHICLE=/etc/obu/vehicle.toml OBU_STATE=/var/lib/obu .venv/bin/python -m cli token show-link || true
