@@ -90,6 +90,18 @@ ENTRIES = (
         SAFE, "token",
         "Decide who may open the page of the unit whose state is in OBU_STATE, and what they may do.",
     ),
+    Entry(
+        SAFE, "backup",
+        "Keep what makes this unit this unit: its settings, what it has learned, its keys, enrolment and logins.",
+    ),
+    Entry(
+        SAFE, "restore",
+        "Make this machine the unit of a backup; what it replaces is kept beside it, with `.old` at the end.",
+    ),
+    Entry(
+        SAFE, "reset",
+        "Put the unit back to how it was delivered: shipped settings, no logins, nothing learned.",
+    ),
     Entry(SAFE, "evidence-key", "The key with which this unit signs recordings and charges."),
     Entry(
         SAFE, "verify",
@@ -118,6 +130,9 @@ COMMANDS = {
     "doctor": ("commands.look", "doctor"),
     "reference": ("commands.look", "reference"),
     "support": ("support", "support"),
+    "backup": ("backup", "backup"),
+    "restore": ("backup", "restore"),
+    "reset": ("backup", "reset"),
     "import": ("import_drive.import_drive", "import_drive"),
     "solve": ("solve.solve", "solve"),
     "kpi": ("kpi.kpi", "kpi"),

@@ -22,7 +22,7 @@ from shared import VERSION
 from shared.errors import BadRecording, UserError
 from shared.recording import Recording, RecordingWriter
 from shared.recording.writer import without_users
-from shared.runtime.config import VehicleFile, address_file, load_vehicle, state_dir
+from shared.runtime.config import LOGIN_VARIABLE, VehicleFile, address_file, load_vehicle, state_dir
 
 from .doctor import findings
 
@@ -43,7 +43,7 @@ about.json       versions, machine, free room
 doctor.txt       checks of this machine, the configuration and the running unit, with remedies
 vehicle.toml     settings that hold, without users, passwords and other secrets
 health.json      topics and processes against their deadlines, and outages, as the page told them; a page that asks
-                 for a login tells nothing (401): doctor.txt has what the bus told
+                 for a login tells nothing (401) unless OBU_TOKEN has one
 logs/            the ends of the processes' logs, where they are files
 last.mcap        the last minutes of the newest recording: it holds where the vehicle was
 """
@@ -126,9 +126,11 @@ def _health(state: Path) -> str:
     except OSError:
         return json.dumps({"error": "no unit whose page is known runs with this state folder"})
     found: dict[str, object] = {}
+    login = {"Authorization": f"Bearer {token}"} if (token := os.environ.get(LOGIN_VARIABLE)) else {}
     for name in ("health", "outages", "trust"):
+        request = urllib.request.Request(f"{address}/api/{name}", headers=login)
         try:
-            with urllib.request.urlopen(f"{address}/api/{name}", timeout=ANSWER_S) as answer:  # the unit's own address
+            with urllib.request.urlopen(request, timeout=ANSWER_S) as answer:  # the unit's own address
                 found[name] = json.load(answer)
         except urllib.error.HTTPError as error:
             found[name] = json.load(error) if error.code == NOT_HEALTHY else {"error": error.code}

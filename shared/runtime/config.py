@@ -355,6 +355,9 @@ def load_vehicle(path: str | Path | None = None) -> VehicleFile:
     return parse_vehicle(text, str(name))
 
 
+LOGIN_VARIABLE = "OBU_TOKEN"  # a token of the page, for commands that ask it
+
+
 def address_file(state: Path) -> Path:
     """File in which monitoring.status says where it serves the page; nobody else may write it."""
     return page_folder(state) / ADDRESS_FILE

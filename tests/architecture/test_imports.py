@@ -173,8 +173,7 @@ def test_what_a_unit_imports_is_installed_with_it() -> None:
     packages = importlib.metadata.packages_distributions()
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     wanted = [*project["dependencies"], *project["optional-dependencies"]["fleet"]]
-    installed = {canonicalize_name(Requirement(text).name) for text in wanted}
-    installed |= INSTALLED_BY_OTHERS
+    installed: set[str] = {canonicalize_name(Requirement(text).name) for text in wanted} | INSTALLED_BY_OTHERS
     ours = {"cli", "services", "shared", "broker", "fleet", "deploy", "tests", "benchmarks"}
     missing = {
         (str(path.relative_to(ROOT)), module)

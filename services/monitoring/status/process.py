@@ -44,6 +44,7 @@ from .web.settings import SettingsApi
 from .web.simulation import SimulationApi
 from .web.stream.events import Events
 from .web.stream.websocket import Stream
+from .web.support import SupportApi
 
 log = logging.getLogger(__name__)
 
@@ -194,7 +195,8 @@ class Process:
         watching = ClientStreams(Stream(state, lock, now_ns, clients, apis[1]), Events(state, lock, now_ns, clients))
         maps = MapApi(state, lock, now_ns, self._config.map_file)
         access = self._make_access(bus)
-        app = make_app(api, (series, *apis, maps), read_pages(folder), watching, access)
+        support = SupportApi((bus.state_dir / "jobs").resolve(), access.tokens)
+        app = make_app(api, (series, *apis, maps, support), read_pages(folder), watching, access)
         per_client, trusted = self._config.connections_per_client, access.rules.trusted_proxies
         connections = Connections(4 * clients + 16, per_client, trusted, access.rules.published)
         return make_server(app, connections, LIMITED_LOGS)

@@ -43,6 +43,13 @@ export const words = {
     last: (word, age) => `Last report: ${word}, ${age} ago`,
   },
 
+  support: {
+    title: "Help",
+    note: "What somebody who helps needs: checks, settings without passwords, health, logs and the last five minutes, which hold where the vehicle was. The file goes to this browser only.",
+    download: "Download diagnostics", collecting: "Collecting: some seconds.",
+    done: (name) => `${name} was downloaded. Look through it before you pass it on.`,
+    failed: (why) => `Not collected: ${why}`,
+  },
   uplink: {
     watched: "WATCHED",
     watchers: (n) => `by ${n === 1 ? "1 person" : `${n} people`} of the control centre`,

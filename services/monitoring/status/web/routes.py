@@ -52,6 +52,7 @@ from .settings import SettingsApi
 from .simulation import SimulationApi
 from .stream.events import Events
 from .stream.websocket import Stream
+from .support import SupportApi
 
 log = logging.getLogger(__name__)
 
@@ -306,7 +307,8 @@ def app_without_unit() -> FastAPI:
     commands = CommandApi(state, lock, now_ns)
     series = SeriesApi(state, lock, now_ns, 1)
     unit_settings = SettingsApi(state, lock, now_ns)
-    apis = (series, simulation, replay, recordings, commands, unit_settings, maps, PageErrorsApi())
+    support = SupportApi(pathlib.Path(), Tokens(pathlib.Path()))
+    apis = (series, simulation, replay, recordings, commands, unit_settings, maps, PageErrorsApi(), support)
     return make_app(api, apis, Pages({}, {}), watching, Access(Rules(), Tokens(pathlib.Path())))
 
 

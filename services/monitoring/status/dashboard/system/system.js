@@ -259,6 +259,31 @@ function CentreCard() {
   </dl></${Card}>`;
 }
 
+// What somebody who helps needs to know, as one file; it takes some seconds, and nothing is sent elsewhere.
+function SupportCard() {
+  const t = words.support;
+  const [told, setTold] = useState({ busy: false, text: "", failed: false });
+  const collect = async () => {
+    setTold({ busy: true, text: t.collecting, failed: false });
+    try {
+      const answer = await fetch("api/support");
+      if (!answer.ok) throw new Error((await answer.json()).detail ?? answer.statusText);
+      const name = /filename="([^"]+)"/.exec(answer.headers.get("Content-Disposition") ?? "")?.[1] ?? "obu-support.zip";
+      const address = URL.createObjectURL(await answer.blob());
+      const link = Object.assign(document.createElement("a"), { href: address, download: name });
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(address), 60000);
+      setTold({ busy: false, text: t.done(name), failed: false });
+    } catch (problem) {
+      setTold({ busy: false, text: t.failed(problem.message), failed: true });
+    }
+  };
+  return html`<${Card} title=${t.title} note=${t.note} id="support">
+    <p class="block"><button disabled=${told.busy} onClick=${collect}>${t.download}</button></p>
+    <p class="note block" role="status">${told.failed && html`<${StateIcon} state="caution" word="" />`}${told.text}</p>
+  </${Card}>`;
+}
+
 // What driving has shown of axes, signs, delays and scales; findings first.
 function SetUpCard() {
   const t = words.setUp;
@@ -288,7 +313,7 @@ export function SystemPage({ query, go }) {
   }, [asked]);
   const node = query.get("node");
   const topic = query.get("topic");
-  return html`<div class="page system"><${LayersCard} /><${TopicsCard} /><div class="stack"><${OutagesCard} /><${SetUpCard} /><${UnitCard} /><${CentreCard} /></div>
+  return html`<div class="page system"><${LayersCard} /><${TopicsCard} /><div class="stack"><${OutagesCard} /><${SetUpCard} /><${UnitCard} /><${CentreCard} /><${SupportCard} /></div>
     ${node && contract.value.processes[node] && html`<${NodeDrawer} key=${node} name=${node} onClose=${back} />`}
     ${topic && html`<${TopicDrawer} key=${topic} name=${topic} onClose=${back} />`}
   </div>`;

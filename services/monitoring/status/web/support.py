@@ -1,0 +1,73 @@
+"""Diagnostics over the web: what `obu support` collects, by a child process, as one file."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+from datetime import UTC, datetime
+from pathlib import Path
+
+from fastapi import FastAPI, HTTPException
+from fastapi.responses import FileResponse
+from starlette.background import BackgroundTask
+
+from shared.page.answers import Responses, refusals
+from shared.runtime.config import LOGIN_VARIABLE
+
+from .access.rights import Right
+from .access.tokens import Tokens
+
+WITHIN_S = 120.0  # a Raspberry Pi with an hour's recording takes some 20 s
+RECORDED_MIN = "5"
+
+
+class SupportApi:
+    """Collects diagnostics, one at a time; nothing is sent but to the browser that asks."""
+
+    def __init__(self, folder: Path, tokens: Tokens) -> None:
+        self._folder, self._tokens, self._busy = folder, tokens, threading.Lock()
+
+    def add_to(self, app: FastAPI) -> None:
+        """Add the route."""
+        binary = {"schema": {"type": "string", "format": "binary"}}
+        refused = refusals({409: "Another one is being collected", 500: "It could not be collected"})
+        responses: Responses = {200: {"description": "A zip file", "content": {"application/zip": binary}}, **refused}
+        app.add_api_route(
+            "/api/support", self.collect, tags=["recordings"], responses=responses, response_class=FileResponse,
+        )  # fmt: skip
+
+    def collect(self) -> FileResponse:
+        """Collect checks, settings without secrets, health, logs and the last minutes, as `obu support` does."""
+        if not self._busy.acquire(blocking=False):
+            raise HTTPException(409, "diagnostics are being collected; wait until they are there")
+        try:
+            path = self._collected()
+        finally:
+            self._busy.release()
+        name = f"obu-support-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.zip"
+        return FileResponse(
+            path, media_type="application/zip", filename=name, background=BackgroundTask(path.unlink, missing_ok=True)
+        )
+
+    def _collected(self) -> Path:
+        self._folder.mkdir(exist_ok=True)
+        handle, name = tempfile.mkstemp(suffix=".zip", prefix="support-", dir=self._folder)
+        os.close(handle)
+        path = Path(name)
+        path.unlink()  # the command writes over no file
+        # What the page tells needs a login, also of a program on this machine.
+        login = self._tokens.add_temporary("support", Right.VIEW, seconds=WITHIN_S)
+        command = ["nice", sys.executable, "-m", "cli", "support", "-o", name, "--minutes", RECORDED_MIN]
+        try:
+            done = subprocess.run(
+                command, env={**os.environ, LOGIN_VARIABLE: login}, stdin=subprocess.DEVNULL, capture_output=True,
+                text=True, timeout=WITHIN_S, check=False,
+            )  # fmt: skip
+        except (OSError, subprocess.TimeoutExpired) as error:
+            path.unlink(missing_ok=True)
+            raise HTTPException(500, f"{error}; run `obu support` on the unit") from error
+        if done.returncode:
+            path.unlink(missing_ok=True)
+            raise HTTPException(500, done.stderr.strip()[-300:] or "it ended without a word; run `obu support` there")
+        return path

@@ -1,0 +1,58 @@
+"""The button *Download diagnostics*: what `obu support` collects, by a child process of the page."""
+
+import asyncio
+import threading
+import zipfile
+from pathlib import Path
+
+import pytest
+from fastapi import HTTPException
+
+from services.monitoring.status.web.access.tokens import Tokens
+from services.monitoring.status.web.support import SupportApi
+
+
+@pytest.fixture
+def api(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SupportApi:
+    (tmp_path / "vehicle.toml").write_text('[vehicle]\nname = "car"\n')
+    for name, value in (("OBU_VEHICLE", tmp_path / "vehicle.toml"), ("OBU_STATE", tmp_path)):
+        monkeypatch.setenv(name, str(value))
+    monkeypatch.setenv("OBU_BROKER", "mqtt://127.0.0.1:9")
+    return SupportApi(tmp_path / "jobs", Tokens(tmp_path))
+
+
+def test_it_is_one_file_that_leaves_nothing_behind(api: SupportApi, tmp_path: Path) -> None:
+    answer = api.collect()
+    assert ".zip" in answer.headers["Content-Disposition"] and answer.background is not None
+    with zipfile.ZipFile(answer.path) as archive:
+        assert {"doctor.txt", "vehicle.toml", "health.json"} <= set(archive.namelist())
+    asyncio.run(answer.background())  # after it was sent
+    assert not list((tmp_path / "jobs").iterdir())
+
+
+def test_two_at_once_are_one_too_many(api: SupportApi, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    begun, go_on = threading.Event(), threading.Event()
+
+    def collected() -> Path:
+        begun.set()
+        go_on.wait()
+        (tmp_path / "x.zip").write_bytes(b"")
+        return tmp_path / "x.zip"
+
+    monkeypatch.setattr(api, "_collected", collected)
+    first = threading.Thread(target=api.collect)
+    first.start()
+    begun.wait()
+    with pytest.raises(HTTPException, match="wait") as refused:
+        api.collect()
+    go_on.set()
+    first.join()
+    assert refused.value.status_code == 409
+
+
+def test_what_kept_it_from_collecting_is_said(api: SupportApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OBU_STATE", str(tmp_path / "vehicle.toml"))
+    with pytest.raises(HTTPException) as failed:
+        api.collect()
+    assert failed.value.status_code == 500 and failed.value.detail
+    assert not list((tmp_path / "jobs").iterdir())
