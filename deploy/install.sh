@@ -217,6 +217,7 @@ finish() {
         "$UNIT/.venv/bin/python" -m cli.qr --wifi "$ACCESS_POINT"
         host=10.42.7.1
     fi
+    [ -z "${OBU_NO_LINK:-}" ] || return 0
     echo
     echo "Log in, once, within a day, with a phone's camera or by the link:"
     "$COMMAND" token show-link --qr --minutes 1440 --address "http://$host:$PORT"
@@ -246,8 +247,9 @@ upgrade() {
     backup="$BACKUPS/before-upgrade-$(date -u +%Y%m%dT%H%M%SZ).zip"
     quietly "$COMMAND" backup -o "$backup"
     echo "settings and keys are kept in $backup"
-    if sh "$UNIT/deploy/install.sh" install --from "$from" ${version:+--version "$version"}; then
+    if OBU_NO_LINK=1 sh "$UNIT/deploy/install.sh" install --from "$from" ${version:+--version "$version"}; then
         rm -r "$saved"
+        echo "the new version runs; logins are as before"
         return 0
     fi
     echo "the new version does not run: going back to ${former%"${former#????????}"}"
@@ -270,7 +272,8 @@ remove() {
         [ ! -L "$link" ] || rm "$link"
     done
     rm -rf /etc/systemd/system/obu@* /etc/systemd/system/obu-broker.service /etc/systemd/system/obu.target \
-        /etc/systemd/system/rsu.target /etc/udev/rules.d/99-obu.rules "$NAME" "$COMMAND" "$COMMAND-install" "$UNIT"
+        /etc/systemd/system/rsu.target /etc/systemd/system/obu.target.wants /etc/systemd/system/rsu.target.wants \
+        /etc/udev/rules.d/99-obu.rules "$NAME" "$COMMAND" "$COMMAND-install" "$UNIT"
     systemctl daemon-reload
     if [ -e "$ACCESS_POINT" ]; then
         nmcli connection delete obu-access-point >>"$LOG" 2>&1 || true

@@ -1,6 +1,7 @@
 """Formats a track as GPX 1.1 and as timed KML (gx:Track), line by line; a break in the track begins a new segment.
 
-Heights are those above the WGS84 ellipsoid, and both files say so: GPX and KML have no field for the datum.
+Heights are above mean sea level, as GPX and KML mean them, by the coarse grid of `maths.geoid`; those above the
+ellipsoid are in GPX beside them.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -9,8 +10,10 @@ from datetime import UTC, datetime
 from html import escape
 from itertools import pairwise
 
+from .maths.geoid.geoid import ERROR_95_M, separation_m
+
 Extra = float | int | str | None
-DATUM = "Heights are above the WGS84 ellipsoid."
+DATUM = f"Heights are above mean sea level, by a coarse grid of EGM96: {ERROR_95_M} m (95 %) worse than the position."
 HALF_TURN_DEG = 180.0
 EXTENSIONS = "urn:obu:track"  # namespace of the extra fields in GPX
 
@@ -79,9 +82,17 @@ def iso_time(time_ns: int) -> str:
     return datetime.fromtimestamp(time_ns // 1_000_000 / 1000, UTC).isoformat(timespec="milliseconds")[:-6] + "Z"
 
 
+def _above_sea_m(point: TrackPoint) -> float | None:
+    if point.height_ellipsoid_m is None:
+        return None
+    return point.height_ellipsoid_m - separation_m(point.latitude_deg, point.longitude_deg)
+
+
 def _gpx_point(point: TrackPoint) -> str:
-    height = "" if point.height_ellipsoid_m is None else f"<ele>{point.height_ellipsoid_m:.3f}</ele>"
-    extras = "".join(f"<obu:{k}>{_text(v)}</obu:{k}>" for k, v in point.extras.items() if v is not None)
+    above_sea_m = _above_sea_m(point)
+    height = "" if above_sea_m is None else f"<ele>{above_sea_m:.3f}</ele>"
+    more = {"height_ellipsoid_m": point.height_ellipsoid_m, **point.extras}
+    extras = "".join(f"<obu:{k}>{_text(v)}</obu:{k}>" for k, v in more.items() if v is not None)
     extensions = f"<extensions>{extras}</extensions>" if extras else ""
     return (
         f'<trkpt lat="{point.latitude_deg:.9f}" lon="{point.longitude_deg:.9f}">'
@@ -95,7 +106,8 @@ def _kml_track(segment: Segment) -> Iterator[str]:
     for point in segment:
         yield f"<when>{iso_time(point.time_ns)}</when>\n"
     for point in segment:
-        height = "" if point.height_ellipsoid_m is None else f" {point.height_ellipsoid_m:.3f}"
+        above_sea_m = _above_sea_m(point)
+        height = "" if above_sea_m is None else f" {above_sea_m:.3f}"
         yield f"<gx:coord>{point.longitude_deg:.9f} {point.latitude_deg:.9f}{height}</gx:coord>\n"
     names = dict.fromkeys(name for point in segment for name in point.extras)
     if names:

@@ -2,6 +2,7 @@
 
 import xml.etree.ElementTree as ET
 
+from shared.maths.geoid.geoid import separation_m
 from shared.track_files import TrackPoint, gpx_lines, iso_time, kml_lines
 
 START_NS = 1_790_000_000_250_999_999
@@ -22,7 +23,9 @@ def test_a_gpx_file_has_one_segment_for_each_unbroken_part_with_times_heights_an
     point = segments[0][1]
     assert (point.get("lat"), point.get("lon")) == ("42.370010000", "13.350000000")
     assert [child.tag.split("}")[1] for child in point] == ["ele", "time", "extensions"], "the order of the schema"
-    assert point.findtext("g:ele", namespaces=GPX) == "701.000"
+    above_sea_m = 701.0 - separation_m(42.37001, 13.35)
+    assert point.findtext("g:ele", namespaces=GPX) == f"{above_sea_m:.3f}", "as GPX means heights"
+    assert point.findtext("g:extensions/o:height_ellipsoid_m", namespaces=GPX) == "701"
     assert point.findtext("g:extensions/o:level_m", namespaces=GPX) == "3.25"
     last = segments[1][0]
     assert last.find("g:ele", GPX) is None and last.find("g:extensions/o:level_m", GPX) is None
@@ -34,7 +37,9 @@ def test_a_kml_file_has_as_many_times_as_places_and_as_values_of_each_field() ->
     tracks = root.findall(".//x:MultiTrack/x:Track", KML)
     assert [len(t.findall("k:when", KML)) for t in tracks] == [3, 1]
     assert [len(t.findall("x:coord", KML)) for t in tracks] == [3, 1]
-    assert tracks[0].findtext("x:coord", namespaces=KML) == "13.350000000 42.370000000 700.000"
+    assert tracks[0].findtext("x:coord", namespaces=KML) == (
+        f"13.350000000 42.370000000 {700.0 - separation_m(42.37, 13.35):.3f}"
+    )
     arrays = {a.get("name"): [v.text for v in a] for a in tracks[0].findall(".//x:SimpleArrayData", KML)}
     assert arrays == {"trust": ["safe"] * 3, "level_m": ["3.25"] * 3}
     empty = tracks[1].findall(".//x:SimpleArrayData[@name='level_m']/x:value", KML)

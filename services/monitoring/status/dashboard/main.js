@@ -246,7 +246,8 @@ function HelpDrawer({ onClose }) {
     <p class="lead-text">${t.intro}</p>
     <label class="switch"><input type="checkbox" checked=${settings.value.shortcuts} onChange=${(e) => remember({ shortcuts: e.target.checked })} /> ${t.enabled}</label>
     <div class="toolbar units"><label>${t.speeds} <select value=${speedUnit()} onChange=${(e) => remember({ speed: e.target.value })}>${Object.keys(words.speed.unitNames).map((unit) => html`<option value=${unit}>${unit}</option>`)}</select></label>
-      <label>${t.lengths} <select value=${lengthUnit()[0]} onChange=${(e) => remember({ length: e.target.value })}>${Object.keys(words.lengthNames).map((unit) => html`<option value=${unit}>${unit}</option>`)}</select></label></div>
+      <label>${t.lengths} <select value=${lengthUnit()[0]} onChange=${(e) => remember({ length: e.target.value })}>${Object.keys(words.lengthNames).map((unit) => html`<option value=${unit}>${unit}</option>`)}</select></label>
+      <label>${t.times} <select value=${settings.value.clock ?? "utc"} onChange=${(e) => remember({ clock: e.target.value })}>${Object.entries(t.clocks).map(([name, text]) => html`<option value=${name}>${text}</option>`)}</select></label></div>
     <p class="note">${t.unitsNote}</p>
     <dl class="keys">${t.rows.map(([key, what]) => html`<div><dt>${key.split(" ").map((k) => html`<kbd>${k}</kbd> `)}</dt><dd>${what}</dd></div>`)}</dl>
     <h3>${t.states}</h3>

@@ -28,7 +28,7 @@ function PositionCard() {
     <dl class="rows ${old}">
       <${Row} label=${p.speed} value=${fixed(s.speed_m_s * speedFactor(), 1)} unit=${speedUnit()} unitName=${words.speed.unitNames[speedUnit()]} extra=${s.stationary ? p.standing : null} />
       <${Row} label=${p.heading} value=${`${fixed(compass(s.heading_rad), 1).padStart(5, "0")}°`} extra=${`± ${fixed(degrees(s.heading_sd_rad), 1)}° (${p.sigma})`} />
-      <${Row} label=${p.height} value=${fixed(s.height_ellipsoid_m == null ? null : s.height_ellipsoid_m * lengthFactor(), 1)} unit=${lengthUnit()[0]} unitName=${lengthUnit()[1]} extra=${`± ${metres(s.height_sd_m)} ${p.heightNote}`} />
+      <${Row} label=${p.height} value=${fixed(s.height_msl_m == null ? null : s.height_msl_m * lengthFactor(), 1)} unit=${lengthUnit()[0]} unitName=${lengthUnit()[1]} extra=${p.heightNote(metres(Math.hypot(s.height_sd_m, s.geoid_sd_m ?? 0)), s.geoid, `${fixed(s.height_ellipsoid_m * lengthFactor(), 1)} ${lengthUnit()[0]}`)} />
       ${s.protection_level_horizontal_m != null && html`<${Row} label=${p.levels} value=${p.levelsValue(metres(s.protection_level_horizontal_m), metres(s.protection_level_vertical_m))}
         extra=${old ? p.levelsOld : p.levelsMeaning(Math.round(1 / s.integrity_risk).toLocaleString("en"))} />`}
       <${Row} label=${p.phase} value=${p.phases[s.phase] ?? s.phase} extra=${why} />
@@ -82,6 +82,7 @@ function TrustCard({ onWhy }) {
   const monitors = checks.filter((c) => c.kind === "monitor");
   const idle = monitors.filter((c) => c.state === "off"); // in one line: the page Trust says why
   const shown = [...monitors.filter((c) => c.state !== "off"), ...checks.filter((c) => c.kind === "input")];
+  const good = shown.filter((c) => c.state === "safe").length; // a phone shows their number
   return html`<${Card} title=${t.title} note=${t.span} id="trust" aside=${html`<span><button class="link" onClick=${onWhy}>${t.all}</button> <a href="#/trust">${t.page}</a></span>`}>
     <${Band} bands=${bandsOf(timeline, nowNs)} nowNs=${nowNs} />
     <p class="axis" aria-hidden="true"><span>${t.ago}</span><span>${t.now}</span></p>
@@ -89,9 +90,10 @@ function TrustCard({ onWhy }) {
     ${monitors.length === 0 && html`<li class="unmonitored"><${StateIcon} state="stale" word="" /><span>${t.noMonitors}</span></li>`}
     ${idle.length > 0 && html`<li class="unmonitored"><${StateIcon} state="off" word="" /><span><strong>${words.trust.off}</strong>
       <span class="dim">${" "}${idle.map((c) => c.label).join(", ")}</span></span></li>`}
-    ${shown.map((c) => html`<li>
+    ${shown.map((c) => html`<li class=${c.state}>
       <${StateIcon} state=${c.state} word=${words.check[c.state]} /><span>${c.label}</span><span class="dim">${c.text}</span>
-    </li>`)}</ul>
+    </li>`)}
+    ${good > 0 && html`<li class="narrow-only"><${StateIcon} state="safe" word="" /><span>${t.inOrder(good)}</span></li>`}</ul>
   </${Card}>`;
 }
 
@@ -103,7 +105,7 @@ function ServicesCard() {
     .map(([name, p]) => [name, live ? p : { ...p, status: "unknown" }]);
   const order = ["lost", "missing", "stale", "ended", "restarting", "waiting", "unknown", "late", "ready"];
   shown.sort((a, b) => order.indexOf(a[1].status) - order.indexOf(b[1].status));
-  return html`<${Card} title=${words.services.title} id="services" note=${live ? words.services.running(chain.services.up, chain.services.of) : words.status.unknown}
+  return html`<${Card} title=${words.services.title} id="services" fold note=${live ? words.services.running(chain.services.up, chain.services.of) : words.status.unknown}
     aside=${html`<a href="#/system">${words.services.details}</a>`}>
     <ul class="services">${shown.map(([name, p]) => html`<li>
       <a href=${`#/system?node=${name}`}><${StateIcon} state=${STATUS_STATE[p.status]} word=${words.status[p.status]} /><span>${name}</span>
@@ -155,7 +157,7 @@ function SpeedCard() {
   const any = SERIES.some(([, field]) => history.fields[field]?.some((v) => v != null));
   const described = values.map(([, label, v]) => `${label} ${v === null ? words.topics.stale : `${v.toFixed(1)} ${t.unitNames[speedUnit()]}`}`).join(", ");
   const rows = history.time_ns.map((ns, i) => [ns, i]).filter(([, i]) => (history.time_ns.length - 1 - i) % 25 === 0).reverse();
-  return html`<${Card} title=${t.title} note=${t.last} id="speed" class="speed-card"
+  return html`<${Card} title=${t.title} note=${t.last} id="speed" fold class="speed-card"
     aside=${any && html`<button class="link" aria-pressed=${table} onClick=${() => setTable(!table)}>${table ? words.closeup.picture : words.closeup.table}</button>`}>
     ${!any ? html`<${Empty} title=${t.empty} />`
       : table ? html`<div class="scroll" tabindex="0" role="group" aria-label=${t.title}><table class="plain"><thead><tr><th scope="col">${t.time}</th>${values.map(([, label]) => html`<th scope="col">${label}, ${speedUnit()}</th>`)}</tr></thead>

@@ -1,8 +1,10 @@
 // Small parts that every page uses: icons, numbers with units, ages, cards.
 import { Component, h } from "preact";
 import { useEffect, useLayoutEffect, useRef } from "preact/hooks";
+import { signal } from "@preact/signals";
 import htm from "htm";
 import { ageS, clock, connected, freshness, isLive, link, paused, settings, state } from "./store.js";
+import { timeOfDay } from "./clock.js";
 import { words } from "./words.js";
 
 export const html = htm.bind(h);
@@ -105,7 +107,7 @@ export function bytes(value) {
 
 export const rate = (value) => (value == null ? words.age.bar : value >= 10 ? value.toFixed(0) : value.toFixed(1));
 export const percent = (share) => (share == null ? words.age.bar : `${(share * 100).toFixed(share < 0.0995 ? 1 : 0)} %`);
-export const timeOfDay = (ms, tenths = false) => new Date(ms).toISOString().slice(11, tenths ? 21 : 19);
+export { dayOf, timeOfDay, zone } from "./clock.js";
 export const degrees = (rad) => (rad * 180) / Math.PI;
 export const compass = (rad) => ((degrees(rad) % 360) + 360) % 360;
 
@@ -124,10 +126,26 @@ export function Age({ topic, stamp }) {
   return html`<span class="age ${state}">${text}</span>`;
 }
 
-export function Card({ title, note, class: extra = "", aside, id, children }) {
-  return html`<section class="card ${extra}" aria-labelledby=${id}>
-    <header><h2 id=${id}>${title}</h2>${note && html`<span class="note">${note}</span>`}<span class="aside">${aside}</span></header>
-    ${children}
+const PHONE = matchMedia("(max-width: 700px)");
+const onPhone = signal(PHONE.matches);
+PHONE.addEventListener("change", () => { onPhone.value = PHONE.matches; });
+const unfolded = signal(new Set()); // cards that were opened on a phone, until the page is loaded again
+
+export function unfold(id, open = true) {
+  const cards = new Set(unfolded.value);
+  if (open) cards.add(id);
+  else cards.delete(id);
+  unfolded.value = cards;
+}
+
+// With `fold` a card is its title on a phone, until it is pressed: what comes first on a page is not pushed off it.
+export function Card({ title, note, class: extra = "", aside, id, fold, children }) {
+  const folds = fold && onPhone.value;
+  const open = !folds || unfolded.value.has(id);
+  const head = folds ? html`<button class="card-fold" aria-expanded=${open} onClick=${() => unfold(id, !open)}>${title}</button>` : title;
+  return html`<section class="card ${extra} ${folds ? "folds" : ""}" aria-labelledby=${id}>
+    <header><h2 id=${id}>${head}</h2>${open && note && html`<span class="note">${note}</span>`}<span class="aside">${open && aside}</span></header>
+    ${open && children}
   </section>`;
 }
 

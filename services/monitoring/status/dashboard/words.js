@@ -1,11 +1,13 @@
 // Every word of the page, in one place, so that it can be translated.
+import { zone } from "./clock.js";
+
 export const words = {
   skip: "Skip to the content",
   pages: { now: "Now", map: "Map", gnss: "GNSS", charts: "Charts", toll: "Toll", trust: "Trust", system: "System", recordings: "Recordings", settings: "Settings" },
   navigation: "Pages",
   unit: "OBU",
   connecting: "Connecting to the on-board unit ...",
-  utc: "UTC",
+  get utc() { return zone(); },
   utcStopped: "stopped",
   theme: { auto: "Automatic colours", light: "Light colours", dark: "Dark colours", night: "Night colours" },
   themeButton: (name) => `Colours: ${name}. Change`,
@@ -13,7 +15,7 @@ export const words = {
   logOut: (name) => `Log out ${name}`,
   close: "Close",
   notices: "Notices",
-  paused: (time) => `Paused at ${time} UTC: this page shows the state of that time. New data are kept and shown on resuming.`,
+  paused: (time) => `Paused at ${time} ${zone()}: this page shows the state of that time. New data are kept and shown on resuming.`,
   pausedBadge: "PAUSED",
   resume: "Resume",
   pause: "Pause",
@@ -62,7 +64,7 @@ export const words = {
     waiting: "Reports that wait for it",
     batches: (n, size) => (n === 0 ? "none" : `${n} ${n === 1 ? "batch" : "batches"}, ${size}`),
     lost: (refused, dropped) => [refused && `${refused} refused`, dropped && `${dropped} reports dropped`].filter(Boolean).join(", "),
-    since: (date) => `the oldest of ${date} UTC`,
+    since: (date) => `the oldest of ${date} ${zone()}`,
     sent: "Sent since the start",
     sentReceipted: (size, receipted) => `${size}, ${receipted} ${receipted === 1 ? "batch" : "batches"} receipted`,
     until: "Certificate until",
@@ -254,7 +256,7 @@ export const words = {
     heading: "Heading",
     speed: "Speed",
     height: "Height",
-    heightNote: "above the ellipsoid",
+    heightNote: (sd, geoid, ellipsoid) => `± ${sd} above sea level${geoid === "grid" ? ", by a coarse geoid" : ""}; ${ellipsoid} above the ellipsoid`,
     gnssUsed: "GNSS used",
     ago: (age) => `${age} ago`,
     never: "not yet",
@@ -308,6 +310,7 @@ export const words = {
   },
 
   trustCard: {
+    inOrder: (n) => `${n} checks in order`,
     title: "Trust",
     span: "last 15 min",
     label: (text) => `Trust over the last 15 minutes: ${text}`,
@@ -599,7 +602,7 @@ export const words = {
     title: "Help and shortcuts",
     intro: "This page shows the state of the on-board unit, and the age of every value. It sends no commands to a real vehicle.",
     enabled: "Keyboard shortcuts",
-    speeds: "Speeds in",
+    speeds: "Speeds in", times: "Times in", clocks: { utc: "UTC", local: "local time" },
     lengths: "Lengths in",
     unitsNote: "in this browser; messages, files and charts of chosen fields keep SI units",
     rows: [

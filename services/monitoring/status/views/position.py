@@ -8,6 +8,7 @@ from shared.messages.navigation import NavigationSolution
 from ..state import State
 from .banner import KNOWN
 from .geometry import ellipse_95, horizontal_sd, vertical_sd
+from .height import above_sea
 from .models.position import Feature, Point, Properties, Solution
 from .snapshot import rounded
 
@@ -20,6 +21,7 @@ def solution(state: State, now_ns: int) -> Solution:
     s, verdict = state.newest(NavigationSolution, TOPIC, now_ns), state.verdict
     ellipse = ellipse_95(s.position_cov_ned_m2) if s else None
     limits = state.evidence(now_ns)
+    sea = above_sea(state, s, now_ns) if s else None
     return {
         "state": verdict.state,
         "sentence": verdict.sentence,
@@ -30,6 +32,9 @@ def solution(state: State, now_ns: int) -> Solution:
         "latitude_deg": round(s.latitude_deg, 9) if s else None,
         "longitude_deg": round(s.longitude_deg, 9) if s else None,
         "height_ellipsoid_m": round(s.height_ellipsoid_m, 3) if s else None,
+        "height_msl_m": sea.height_m if sea else None,
+        "geoid": sea.geoid if sea else None,
+        "geoid_sd_m": sea.geoid_sd_m if sea else None,
         "speed_m_s": round(hypot(*s.velocity_ned_m_s[:2]), 3) if s else None,
         "heading_deg": round(degrees(s.yaw_rad) % 360.0, 2) if s else None,
         "ellipse_95_semi_major_m": round(ellipse.semi_major_m, 3) if ellipse else None,

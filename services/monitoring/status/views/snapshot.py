@@ -34,6 +34,7 @@ from . import toll
 from . import trust as trust_views
 from .banner import WORDS
 from .geometry import ellipse_95, horizontal_sd, offset_m, vertical_sd
+from .height import above_sea
 from .models.dashboard import (
     Banner,
     Chain,
@@ -297,7 +298,7 @@ def _solution(state: State, now_ns: int) -> SolutionShown | None:
     s = state.newest(NavigationSolution, "navigation/solution", now_ns)
     if s is None:
         return None
-    ellipse = ellipse_95(s.position_cov_ned_m2)
+    ellipse, sea = ellipse_95(s.position_cov_ned_m2), above_sea(state, s, now_ns)
     return {
         "updated_ns": state.topics["navigation/solution"].updated_ns,
         "sampled_ns": s.sampled_ns,
@@ -305,6 +306,9 @@ def _solution(state: State, now_ns: int) -> SolutionShown | None:
         "latitude_deg": round(s.latitude_deg, 9),
         "longitude_deg": round(s.longitude_deg, 9),
         "height_ellipsoid_m": round(s.height_ellipsoid_m, 3),
+        "height_msl_m": sea.height_m,
+        "geoid": sea.geoid,
+        "geoid_sd_m": sea.geoid_sd_m,
         "height_sd_m": round(vertical_sd(s.position_cov_ned_m2), 3),
         "speed_m_s": round(hypot(*s.velocity_ned_m_s[:2]), 3),
         "speed_sd_m_s": round(horizontal_sd(s.velocity_cov_ned_m2_s2), 3),

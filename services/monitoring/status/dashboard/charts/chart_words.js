@@ -1,10 +1,12 @@
 // The words of the page Charts.
+import { zone } from "../clock.js";
+
 export const chartWords = {
   title: "Charts",
   tools: "Time span",
   span: (minutes) => (minutes < 60 ? `${minutes} min` : "1 h"),
   cursorHint: "Point at a chart, or use the arrow keys in one: all charts show the same moment.",
-  atCursor: (time) => `At ${time} UTC`,
+  atCursor: (time) => `At ${time} ${zone()}`,
   loading: "The values are being read.",
   refused: (reason) => `Not plotted: ${reason}`,
   empty: "No value in this time",
@@ -19,7 +21,7 @@ export const chartWords = {
   noUnit: "without unit",
   remove: "remove",
   removeField: (field) => `Remove ${field}`,
-  time: "Time, UTC",
+  get time() { return `Time, ${zone()}`; },
   dimensionless: { innovations: "of the gate", satellites: "number", dop: "DOP" },
   noValue: "no value",
   label: (title, described) => `${title} over time. ${described}`,

@@ -9,6 +9,7 @@ import { chartWords as w } from "./chart_words.js";
 import { words } from "../words.js";
 
 const DEGREES = 180 / Math.PI;
+const UNFOLDED = 2; // charts on a phone
 const SPANS_S = [60, 300, 900, 3600];
 const SIGMAS = [1, 2, 3];
 const LATENCIES = ["gnss/fix", "imu/sample", "vehicle/wheel_speed", "navigation/solution", "trust/state"];
@@ -85,7 +86,7 @@ function valueAt(column, gapS) {
   return null;
 }
 
-function ChartCard({ chart, span }) {
+function ChartCard({ chart, span, fold }) {
   const [table, setTable] = useState(false);
   const { time } = series.value;
   const { lines, columns } = prepared(chart);
@@ -95,7 +96,7 @@ function ChartCard({ chart, span }) {
   const step = Math.max(1, Math.round(time.length / 30));
   const rows = time.map((_, i) => i).filter((i) => (time.length - 1 - i) % step === 0).reverse();
   const empty = lines.every((_, i) => columns[i].every((v) => v == null));
-  return html`<${Card} title=${chart.title} note=${chart.note} id=${`chart-${chart.id}`} class="chart-card"
+  return html`<${Card} title=${chart.title} note=${chart.note} id=${`chart-${chart.id}`} fold=${fold} class="chart-card"
     aside=${!empty && html`<button class="link" aria-pressed=${table} onClick=${() => setTable(!table)}>${table ? words.closeup.picture : words.closeup.table}</button>`}>
     ${empty ? html`<${Empty} title=${w.emptyField} why=${w.emptyFieldWhy} />`
       : table ? html`<div class="scroll" tabindex="0" role="group" aria-label=${chart.title}><table class="plain"><thead><tr><th scope="col">${w.time}</th>${lines.map((l) => html`<th scope="col">${l.label}${unit}</th>`)}</tr></thead>
@@ -132,7 +133,7 @@ export function ChartsPage() {
     ${refused && html`<p class="verdict" role="status">${w.refused(refused)}</p>`}
     ${!loaded ? html`<p class="note">${w.loading}</p>` : html`
     ${ownCharts(series.value.fields).map((chart) => html`<${ChartCard} key=${chart.id} chart=${chart} span=${span} />`)}
-    ${filled.map((chart) => html`<${ChartCard} key=${chart.id} chart=${chart} span=${span} />`)}
+    ${filled.map((chart, i) => html`<${ChartCard} key=${chart.id} chart=${chart} span=${span} fold=${i >= UNFOLDED} />`)}
     ${filled.length === 0 && own.length === 0 && html`<${Card} title=${w.title} id="charts-empty"><${Empty} title=${w.empty} why=${w.emptyWhy} /></${Card}>`}
     <${Card} title=${w.moreTitle} id="chart-more" class="more-card"><p>${w.more} <a href="#/system">${w.moreLink}</a></p>
       ${silent.length > 0 && html`<p class="dim">${w.silent(silent.map((chart) => chart.title).join(", "))}</p>`}</${Card}>`}

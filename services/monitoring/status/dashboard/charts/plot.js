@@ -1,7 +1,7 @@
 // A chart of lines over time; all charts of a page share the cursor. Drawn by uPlot, which is loaded when it is needed.
 import { useEffect } from "preact/hooks";
 import { signal } from "@preact/signals";
-import { html, themeName, usePlot } from "../parts.js";
+import { html, themeName, timeOfDay, usePlot } from "../parts.js";
 
 export const cursor = signal(null); // index of the sample under the cursor, in all charts
 
@@ -19,7 +19,7 @@ export const STYLES = [
 export const LIMIT_STYLE = { colour: "--mark-unsafe", dash: [6, 4], width: 1.75 };
 
 const STEPS_S = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800];
-const clockText = (s) => new Date(s * 1000).toISOString().slice(11, 19);
+const clockText = (s) => timeOfDay(s * 1000);
 
 function options(size, lines, label) {
   const style = getComputedStyle(document.documentElement);

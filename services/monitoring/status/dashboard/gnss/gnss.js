@@ -176,7 +176,7 @@ function SignalsCard({ receiver }) {
   const strongest = groups.map(([name, list]) => [name, Math.max(...list.flatMap(signalsOf).map((g) => g.cn0_db_hz ?? 0))]);
   const described = w.signalsLabel(strongest.map(([name, v]) => `${w.constellation[name]} ${v.toFixed(0)} dBHz`).join(", "));
   const all = satellites.flatMap((s) => s.signals);
-  return html`<${Card} title=${w.signals} note=${w.signalsNote} id="signals" class="signals-card">
+  return html`<${Card} title=${w.signals} note=${w.signalsNote} id="signals" fold class="signals-card">
     ${groups.length === 0 ? html`<${Empty} title=${w.noSignals} why=${w.noSignalsWhy} />` : html`
     <div class="bars" role="group" aria-label=${described}>${groups.map(([name, list]) => html`<div class="bar-group" key=${name}><h3><${ShapeKey} constellation=${name} />${w.constellation[name]}</h3>
       <p class="note">${bandsOf(list).join("; ")}</p>
@@ -254,7 +254,7 @@ function ReceiverCard({ receiver, kinds }) {
   const d = receiver.device;
   const said = receiver.said;
   const flows = TOPICS.map((name) => [name, state.value.topics[name]]).filter(([, flow]) => flow?.updated_ns != null);
-  return html`<${Card} title=${w.receiver} note=${receiver.source} id="receiver" class="receiver-card">
+  return html`<${Card} title=${w.receiver} note=${receiver.source} id="receiver" fold class="receiver-card">
     <dl class="rows">
       ${d && html`<${Row} label=${w.port} value=${html`<${StateIcon} state=${connected() ? PORT_STATE[d.found] : "stale"} word="" /> ${w.found[d.found]}`} extra=${d.sentence || d.device} />`}
       ${said && html`<${Row} label=${w.sends} value=${said.messages.length > 0 ? said.messages.join(", ") : w.noMessages} extra=${said.other_protocols.length > 0 ? w.other(said.other_protocols.join(", ")) : said.gives_position ? null : w.noPosition} />`}

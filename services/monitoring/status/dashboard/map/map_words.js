@@ -1,4 +1,6 @@
 // Every word of the page Map.
+import { zone } from "../clock.js";
+
 export const w = {
   title: "Map",
   canvas: "Map: arrow keys move it, plus and minus zoom", // the name of the picture itself, which is another landmark than its card
@@ -29,7 +31,7 @@ export const w = {
   thinned: (metres) => `One point every ${metres}.`,
   table: "Table",
   picture: "Map",
-  columns: ["From (UTC)", "Duration", "Verdict", "Navigation", "Highest protection level"],
+  get columns() { return [`From (${zone()})`, "Duration", "Verdict", "Navigation", "Highest protection level"]; },
   noTrack: "The track has no point yet.",
   label: (text) => `Map with the track of this drive. ${text}`,
   noPosition: "No position yet: the track begins with the first one.",
@@ -39,6 +41,6 @@ export const w = {
   noGraphics: "This browser has no WebGL 2, which the map needs; the close-up view is shown instead.",
   noLibrary: "The map's library could not be loaded; the close-up view is shown instead. It is tried again when the page is opened anew.",
   loading: "Loading the map ...",
-  inspect: (time, verdict, kind, level) => `${time} UTC: ${verdict}, ${kind}${level ? `, protection level ${level}` : ""}.`,
+  inspect: (time, verdict, kind, level) => `${time} ${zone()}: ${verdict}, ${kind}${level ? `, protection level ${level}` : ""}.`,
   hint: "Click on the track: its time, verdict, navigation and protection level are shown.",
 };

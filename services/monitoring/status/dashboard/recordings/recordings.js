@@ -1,7 +1,7 @@
 // The recordings of the unit: outline, length, verdicts and outages of each drive, and what may be done with it.
 import { useEffect, useState } from "preact/hooks";
 import { change, link } from "../store.js";
-import { Card, Empty, bytes, duration, html, metres, timeOfDay } from "../parts.js";
+import { Card, Empty, bytes, dayOf, duration, html, metres, timeOfDay } from "../parts.js";
 import { words } from "../words.js";
 
 const w = words.recordings;
@@ -47,7 +47,7 @@ function Recording({ r, allowed, job, run }) {
   const busy = job?.running;
   return html`<li class="recording">
     <svg viewBox="-3 -3 106 66" role="img" aria-label=${s?.outline ? w.outline : w.noOutline}>${s?.outline && html`<path d=${s.outline} />`}</svg>
-    <div class="recording-text"><h3>${begin ? `${begin.toISOString().slice(0, 10)} ${timeOfDay(begin.getTime())}` : r.name}</h3>
+    <div class="recording-text"><h3>${begin ? `${dayOf(begin.getTime())} ${timeOfDay(begin.getTime())}` : r.name}</h3>
       <p class="note">${r.recording ? w.recording : r.failed ? w.unreadable : !s ? w.computing : [duration((s.end_ns - s.begin_ns) / 1e9), s.distance_m === null ? w.noPosition : metres(s.distance_m), w.outages(s.outages.length), s.origin && words.origin[s.origin]?.[0]].filter(Boolean).join(" · ")} · ${bytes(r.size_bytes)}${r.kept ? ` · ${w.kept}` : ""}</p>
       ${s && html`<${Verdicts} s=${s} />`}
       <p class="toolbar">

@@ -1,7 +1,7 @@
 // The bar of a replay: play, pause, speed, and a scrubber over the whole drive with verdicts and outages.
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import { change, clock, link, nowMs, settings, state } from "../store.js";
-import { Icon, duration, html, timeOfDay } from "../parts.js";
+import { Icon, dayOf, duration, html, timeOfDay } from "../parts.js";
 import { words } from "../words.js";
 
 const w = words.replay;
@@ -89,7 +89,7 @@ export function ReplayBar() {
     <button onClick=${() => step(10)} disabled=${!link.value.open}>${w.forward}</button>
     <label><span class="sr">${w.speed}</span><select value=${String(replay.speed)} onChange=${(e) => run({ command: "speed", speed: Number(e.target.value) })}>
       ${[...new Set([...SPEEDS, replay.speed])].sort((a, b) => a - b).map((s) => html`<option value=${String(s)}>${w.times(s)}</option>`)}</select></label>
-    <p class="replay-time"><strong>${at.toISOString().slice(0, 10)} <time>${timeOfDay(at.getTime())}</time></strong> <span class="dim">${w.position(clockOf(shown), clockOf(length))}</span></p>
+    <p class="replay-time"><strong>${dayOf(at.getTime())} <time>${timeOfDay(at.getTime())}</time></strong> <span class="dim">${w.position(clockOf(shown), clockOf(length))}</span></p>
     <button onClick=${jump} disabled=${!following || !link.value.open} title=${following?.text ?? w.noEvent}>${w.next}</button>
     <p class="note" role="status">${error || (replay.lost ? w.lost : following ? w.following(following.text, clockOf(following.at)) : "")}</p>
     <div class="replay-scrubber">${track}

@@ -1,7 +1,7 @@
 // Every setting of the unit: seen, changed, checked before it is written, watched after it, and taken back.
 import { useEffect, useState } from "preact/hooks";
 import { change, link, session } from "../store.js";
-import { Card, Empty, Icon, duration, html, timeOfDay } from "../parts.js";
+import { Card, Empty, Icon, dayOf, duration, html, timeOfDay } from "../parts.js";
 import { words } from "../words.js";
 import { settingsWords as w } from "./settings_words.js";
 
@@ -130,7 +130,7 @@ function Newest({ report, run, may }) {
 }
 
 function Versions({ state, run, may }) {
-  const dated = (ns) => `${new Date(ns / 1e6).toISOString().slice(0, 10)} ${timeOfDay(ns / 1e6)}`;
+  const dated = (ns) => `${dayOf(ns / 1e6)} ${timeOfDay(ns / 1e6)}`;
   return html`<details class="settings-section"><summary><strong>${w.versions}</strong> <span class="dim">${state.versions.length}</span></summary>
     <p class="note">${state.changed ? w.changedNote : w.fileNote}</p>
     ${!state.versions.length ? html`<p class="note">${w.noVersions}</p>` : html`<ul class="versions">${state.versions.map((v) => html`<li key=${v.replaced_ns}>

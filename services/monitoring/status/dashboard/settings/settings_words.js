@@ -1,4 +1,6 @@
 // The words of the page Settings.
+import { zone } from "../clock.js";
+
 export const settingsWords = {
   title: "Settings",
   note: "of this unit, by process",
@@ -37,7 +39,7 @@ export const settingsWords = {
     refused: "Change was not made",
     checked: "Change was checked",
   },
-  by: (name, time) => `by ${name}, ${time} UTC`,
+  by: (name, time) => `by ${name}, ${time} ${zone()}`,
   left: (text) => `decided in ${text}`,
   confirmWhy: "It changes who reaches this page. Unless you confirm it here, it is taken back.",
   confirm: "I can reach the page: keep it",
@@ -45,7 +47,7 @@ export const settingsWords = {
   offered: "It changes where sensors are. Look at the installation checks over the next drive, and take it back if they disagree.",
   versions: "Earlier versions",
   noVersions: "Nothing was changed yet.",
-  version: (time, differing) => `replaced ${time} UTC, ${differing === null ? "cannot be compared" : differing === 1 ? "1 setting differs" : `${differing} settings differ`}`,
+  version: (time, differing) => `replaced ${time} ${zone()}, ${differing === null ? "cannot be compared" : differing === 1 ? "1 setting differs" : `${differing} settings differ`}`,
   restore: "Restore",
   restoreOf: (number) => `Restore version ${number}`,
   changedNote: "Settings of this page hold in the place of the vehicle's file.",

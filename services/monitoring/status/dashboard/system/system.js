@@ -2,7 +2,7 @@
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import { brokerAnswers, clock, connected, contract, freshness, isOld, nowMs, state } from "../store.js";
 import {
-  Age, Card, Drawer, FRESH_STATE, KindsTable, Row, STATUS_STATE, StateIcon, bytes, duration, fixed, html, percent, rate, seconds, timeOfDay, told,
+  Age, Card, Drawer, FRESH_STATE, KindsTable, Row, STATUS_STATE, StateIcon, bytes, dayOf, duration, fixed, html, percent, rate, seconds, timeOfDay, told, unfold,
 } from "../parts.js";
 import { TopicDrawer } from "./inspector.js";
 import { words } from "../words.js";
@@ -179,7 +179,7 @@ function TopicsCard() {
   clock.value;
   const all = Object.entries(state.value.topics);
   const shown = all.filter(([name]) => (filter ? name.includes(filter.trim()) : !/^(health|consumed)\//.test(name)));
-  return html`<${Card} title=${t.title} id="topics" class="topics-card"
+  return html`<${Card} title=${t.title} id="topics" fold class="topics-card"
     aside=${html`<input type="search" id="find" placeholder=${t.filter} aria-label=${t.filter} value=${filter} onInput=${(e) => setFilter(e.target.value)} />`}>
     ${shown.length === 0 ? html`<p class="note block">${t.noMatch(filter)}</p>` : html`
     <div class="scroll" tabindex="0" role="group" aria-label=${t.title}><table class="plain topics">
@@ -229,7 +229,7 @@ function UnitCard() {
   clock.value;
   const old = (topic, message) => isOld(topic, message?.updated_ns);
   const sources = mode && [mode.gnss_source, mode.imu_source, mode.speed_source].filter(Boolean).join(", ");
-  return html`<${Card} title=${t.title} note=${t.note} id="unit"><dl class="rows">
+  return html`<${Card} title=${t.title} note=${t.note} id="unit" fold><dl class="rows">
     <${Row} dim=${old("mode/state", mode)} label=${t.mode} value=${mode ? mode.mode.replaceAll("_", " ") : words.topics.never} extra=${mode?.reason} />
     ${mode && html`<${Row} dim=${old("mode/state", mode)} label=${t.modeFor} value=${duration(Math.max(0, (nowMs() - mode.since_ns / 1e6) / 1000))} />
     <${Row} dim=${old("mode/state", mode)} label=${t.sources} value=${sources || t.none} />`}
@@ -248,7 +248,7 @@ function CentreCard() {
   clock.value;
   if (!u) return null;
   const dim = isOld("uplink/state", u.updated_ns);
-  const day = (ns) => new Date(ns / 1e6).toISOString().slice(0, 16).replace("T", " ");
+  const day = (ns) => `${dayOf(ns / 1e6)} ${timeOfDay(ns / 1e6).slice(0, 5)}`;
   const about = [u.oldest_ns && u.backlog_batches > 0 && t.since(day(u.oldest_ns)), t.lost(u.backlog_refused, u.dropped)].filter(Boolean).join(", ");
   return html`<${Card} title=${t.centre} id="centre" aside=${html`<${Age} topic="uplink/state" stamp=${u.updated_ns} />`}><dl class="rows">
     <${Row} dim=${dim} label=${words.chain.title} value=${u.connected ? t.connected(u.centre) : t.offline} extra=${u.offline} />
@@ -278,7 +278,7 @@ function SupportCard() {
       setTold({ busy: false, text: t.failed(problem.message), failed: true });
     }
   };
-  return html`<${Card} title=${t.title} note=${t.note} id="support">
+  return html`<${Card} title=${t.title} note=${t.note} id="support" fold>
     <p class="block"><button disabled=${told.busy} onClick=${collect}>${t.download}</button></p>
     <p class="note block" role="status">${told.failed && html`<${StateIcon} state="caution" word="" />`}${told.text}</p>
   </${Card}>`;
@@ -292,7 +292,7 @@ function SetUpCard() {
   const checks = [...(setUp?.checks ?? [])].sort((a, b) => order.indexOf(a.verdict) - order.indexOf(b.verdict));
   const known = checks.filter((c) => c.verdict !== "unknown");
   const unknown = checks.filter((c) => c.verdict === "unknown").map((c) => t.names[c.name] ?? c.name);
-  return html`<${Card} title=${t.title} note=${t.note} id="set-up">
+  return html`<${Card} title=${t.title} note=${t.note} id="set-up" fold>
     ${known.length === 0 && html`<p class="note block">${t.empty}</p>`}
     <ul class="outages">${known.map((c) => html`<li key=${c.name} class=${c.verdict === "contradicts" ? "open" : ""}>
       <span><${StateIcon} state=${c.verdict === "contradicts" ? "caution" : "safe"} word=${t.verdicts[c.verdict]} /><strong>${t.names[c.name] ?? c.name}</strong></span>
@@ -308,7 +308,8 @@ export function SystemPage({ query, go }) {
   const asked = query.has("find"); // the key / was pressed, maybe before this page was there
   useEffect(() => {
     if (!asked) return;
-    document.getElementById("find").focus();
+    unfold("topics");
+    requestAnimationFrame(() => document.getElementById("find").focus());
     back();
   }, [asked]);
   const node = query.get("node");

@@ -112,7 +112,7 @@ export function AttacksCard() {
   const rows = useCatalogue();
   const [run, text] = useCommand();
   const s = state.value.simulation;
-  return html`<${Card} title=${w.title} note=${w.note} id="attacks" class="attacks-card">
+  return html`<${Card} title=${w.title} note=${w.note} id="attacks" fold class="attacks-card">
     <div class="attack-columns"><${StartForm} rows=${rows} run=${run} text=${text} /><${AttackList} runs=${s.attacks} run=${run} /><${Truth} s=${s} limits=${state.value.trust.verdict} /></div>
   </${Card}>`;
 }

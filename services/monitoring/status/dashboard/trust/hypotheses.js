@@ -108,7 +108,7 @@ export function HypothesesCard() {
   const shown = [...known, ...rows.filter(([, row]) => row.probability === null)];
   const c = w.columns;
   if (!rows.length) return html`<${Card} title=${w.title} id="hypotheses" class="hypotheses-card"><${Empty} title=${w.empty} why=${w.emptyWhy} /></${Card}>`;
-  return html`<${Card} title=${w.title} note=${monitorsStand() ? w.note : w.old} id="hypotheses" class="hypotheses-card">
+  return html`<${Card} title=${w.title} note=${monitorsStand() ? w.note : w.old} id="hypotheses" fold class="hypotheses-card">
     <table class="plain monitors hypotheses"><thead><tr>${["hypothesis", "probability", "state"].map((name) => html`<th scope="col">${c[name]}</th>`)}
       ${["distance", "level", "since"].map((name) => html`<th scope="col" class="wide-only">${c[name]}</th>`)}</tr></thead>
       <tbody>${shown.map(([name, row]) => html`<${Hypothesis} key=${name} name=${name} row=${row} open=${Boolean(open[name])}

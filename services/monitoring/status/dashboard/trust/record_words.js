@@ -1,8 +1,10 @@
 // Every word of crossings and of the records of the tachograph on the page Trust.
+import { zone } from "../clock.js";
+
 export const w = {
   tachograph: {
     title: "Records of the tachograph",
-    newest: "newest first, UTC",
+    get newest() { return `newest first, ${zone()}`; },
     none: "No event is recorded.",
     kind: {
       motion_conflict: "Motion conflict", distance_unauthenticated: "Distance of positions without authentication", gnss_anomaly: "GNSS anomaly",

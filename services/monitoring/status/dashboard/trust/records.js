@@ -1,7 +1,7 @@
 // Crossings by ferry or train, and the records of the smart tachograph, on the page Trust.
 import { useState } from "preact/hooks";
 import { change, link, nowMs, state } from "../store.js";
-import { Card, duration, html, timeOfDay } from "../parts.js";
+import { Card, dayOf, duration, html, timeOfDay } from "../parts.js";
 import { words } from "../words.js";
 import { w } from "./record_words.js";
 
@@ -26,7 +26,7 @@ export function CrossingCard() {
       setText(x.lost);
     }
   };
-  return html`<${Card} title=${x.title} id="crossing" class="crossing-card">
+  return html`<${Card} title=${x.title} id="crossing" fold class="crossing-card">
     ${asked && html`<p class="lead-text"><strong>${x.question}</strong></p>`}
     <p>${isOpen ? x.open(sinceText(crossing.since_ns)) : crossing ? x.closed[crossing.ended_by] ?? x.none : x.none}</p>
     <div class="toolbar"><button onClick=${send} disabled=${!link.value.open}>${isOpen ? x.end : x.begin}</button><span class="note" role="status">${text}</span></div>
@@ -38,8 +38,8 @@ export function CrossingCard() {
 export function TachographCard() {
   const t = w.tachograph;
   const records = [...(state.value.tachograph?.records ?? [])].reverse();
-  const day = (ns) => new Date(ns / 1e6).toISOString().slice(0, 10);
-  return html`<${Card} title=${t.title} note=${t.newest} id="tachograph" class="tachograph-card">
+  const day = (ns) => dayOf(ns / 1e6);
+  return html`<${Card} title=${t.title} note=${t.newest} id="tachograph" fold class="tachograph-card">
     ${!records.length ? html`<p class="note block">${t.none}</p>` : html`<ol class="outages events scroll" tabindex="0" aria-label=${t.title}>${records.map((r) => html`<li key=${r.kind + r.begin_utc_ns}>
       <span><strong>${t.kind[r.kind] ?? r.kind}</strong></span>
       <time>${day(r.begin_utc_ns)} ${timeOfDay(r.begin_utc_ns / 1e6)}</time>

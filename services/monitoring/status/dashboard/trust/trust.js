@@ -84,7 +84,7 @@ function MonitorsCard({ query, go }) {
     if (asked) go("#/trust");
     setOpen((now) => ({ ...now, [name]: !now[name] }));
   };
-  return html`<${Card} title=${w.monitorsTitle} note=${monitorsStand() ? w.monitorsNote : w.monitorsOld} id="monitors" class="monitors-card">
+  return html`<${Card} title=${w.monitorsTitle} note=${monitorsStand() ? w.monitorsNote : w.monitorsOld} id="monitors" fold=${!asked} class="monitors-card">
     <div class="scroll" tabindex="0" role="group" aria-label=${w.monitorsTitle}><table class="plain monitors"><thead><tr>${["monitor", "outcome", "statistic"].map((name) => html`<th scope="col">${c[name]}</th>`)}
       ${["falseAlarm", "window", "since", "suspect"].map((name) => html`<th scope="col" class="wide-only">${c[name]}</th>`)}</tr></thead>
       <tbody>${rows.map(([name, shown]) => html`<${Monitor} key=${name} name=${name} shown=${shown} open=${Boolean(open[name])} onToggle=${() => toggle(name)} />`)}</tbody></table></div>
@@ -113,7 +113,7 @@ function VerdictCard() {
 
 function EventsCard() {
   const events = state.value.trust.events;
-  return html`<${Card} title=${w.eventsTitle} note=${w.eventsNote} id="events" class="events-card">
+  return html`<${Card} title=${w.eventsTitle} note=${w.eventsNote} id="events" fold class="events-card">
     ${!events.length ? html`<p class="note block">${w.noEvents}</p>` : html`<ol class="outages events scroll" tabindex="0" aria-label=${w.eventsTitle}>${events.map((e) => html`<li key=${e.sampled_ns}>
       <span><${StateIcon} state=${e.before} /> <span class="sr">${w.to}</span><${Icon} name="next" /> <${StateIcon} state=${e.after} word="" /><strong>${words.trust[e.after]}</strong></span>
       <time>${timeOfDay(e.sampled_ns / 1e6)}</time>
@@ -206,7 +206,7 @@ function HistoryCard() {
   const total = (name) => bands.filter((b) => b.state === name).reduce((sum, b) => sum + (b.to - b.from) / 1e9, 0);
   const rows = monitorsNow().map(([name, m]) => [name, m.label, history?.ratios[name] ?? []]);
   const beliefs = hypothesesNow().filter(([name]) => name !== "nothing" && history?.probabilities[name]);
-  return html`<${Card} title=${w.historyTitle} note=${words.trustCard.span} id="trust-history" class="history-card"
+  return html`<${Card} title=${w.historyTitle} note=${words.trustCard.span} id="trust-history" fold class="history-card"
     aside=${html`<button class="link" aria-pressed=${table} onClick=${() => setTable(!table)}>${table ? words.closeup.picture : words.closeup.table}</button>`}>
     ${table ? html`<${HistoryTable} rows=${rows} bands=${bands} />` : html`<div class="strips">
       <div class="strip"><p class="strip-label">${w.verdictTitle}</p><${Band} bands=${bands} nowNs=${nowNs} /></div>

@@ -1,6 +1,6 @@
 """The state that the dashboard follows over `/ws`: stamps instead of ages. `/api/state` answers with the same."""
 
-from typing import NotRequired
+from typing import Literal, NotRequired
 
 from typing_extensions import TypedDict
 
@@ -144,6 +144,10 @@ class SolutionShown(TypedDict):
     latitude_deg: float
     longitude_deg: float
     height_ellipsoid_m: float
+    height_msl_m: float
+    """above mean sea level"""
+    geoid: Literal["receiver", "grid"]
+    geoid_sd_m: float | None
     height_sd_m: float
     speed_m_s: float
     speed_sd_m_s: float

@@ -14,6 +14,7 @@ PROPERTIES = {
     "state": "safe", "sentence": SENTENCE, "verdict_known": True, "live": True, "age_s": 0.03,
     "sampled_ns": EXAMPLE_NS, "speed_m_s": 13.9, "heading_deg": 92.4, "ellipse_95_semi_major_m": 1.1,
     "ellipse_95_semi_minor_m": 0.8, "ellipse_95_orientation_deg": 41.0, "height_sd_m": 0.7,
+    "height_msl_m": 472.9, "geoid": "receiver", "geoid_sd_m": None,
     "speed_sd_m_s": 0.05, "heading_sd_deg": 0.3, "protection_level_horizontal_m": 3.0,
     "protection_level_vertical_m": 4.0, "alert_limit_horizontal_m": 10.0, "alert_limit_vertical_m": 20.0,
     "gnss_age_s": 0.4, "phase": "navigating", "stationary": False,
@@ -33,6 +34,12 @@ class Properties(TypedDict):
     """whether the solution is within its deadline of 2 s, and newer than the last start of core.fusion"""
     age_s: float | None
     sampled_ns: Stamp | None
+    height_msl_m: float | None
+    """above mean sea level"""
+    geoid: Literal["receiver", "grid"] | None
+    """whose mean sea level: the receiver's, or a grid of EGM96 each 3 degrees"""
+    geoid_sd_m: float | None
+    """standard deviation of the grid; null of a receiver, which states none"""
     speed_m_s: float | None
     heading_deg: float | None
     """from true north, clockwise"""

@@ -1,0 +1,1 @@
+"""The geoid: mean sea level above the ellipsoid."""
