@@ -7,7 +7,7 @@ from urllib.parse import urlsplit
 
 import httpx
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Browser, Page, expect
 
 from services.core.trust.facts import Monitor
 from shared.messages.operation import Crossing, CrossingEnd, ModeCommand, OperatorCommand, Origin, OriginKind
@@ -487,6 +487,8 @@ def test_figures_lines_and_states_of_the_system_page_are_explained(
     page.set_viewport_size({"width": 390, "height": 844})
     expect(layers.locator(".lines")).to_be_hidden()  # as the lines are
     expect(layers.locator(".key-figures")).to_be_visible()
+    expect(topics.locator(".legend")).to_have_count(0)  # a phone shows the title, until it is pressed
+    topics.get_by_role("button", name="Topics", expanded=False).click()
     expect(topics.locator(".legend")).to_be_visible()
     expect(event.get_by_text("events", exact=True)).to_be_visible()
 
@@ -588,7 +590,8 @@ def test_an_attack_is_started_and_stopped_from_the_page(tmp_path: Path, open_pag
             page.emulate_media(color_scheme=theme)
             keep_picture(page, f"attacks-{theme}")
         page.set_viewport_size(THEMES["phone"])
-        card.get_by_role("status").scroll_into_view_if_needed()
+        card.get_by_role("button", name="Attacks", expanded=False).click()
+        expect(card.get_by_role("listitem")).to_contain_text("acceleration 0.3, speed 1, direction 0")
         keep_picture(page, "attacks-phone")
         assert not faults(page)
         card.get_by_role("button", name="Stop drag off").click()
@@ -656,3 +659,40 @@ def test_the_viewer_chooses_units_which_this_browser_keeps(
     expect(position).to_contain_text(re.compile(r"± \d\.\d ft"))
     page.reload()
     expect(position).to_contain_text("20.1 mph")
+
+
+@pytest.mark.parametrize("path", ["now", "gnss", "charts", "trust", "system"])
+def test_a_phone_page_is_three_screens_long_and_folds(
+    units: dict[str, RunningServer], open_page: Callable[..., Page], path: str
+) -> None:
+    page = open_page(units["normal"].address, path=path)
+    page.set_viewport_size({"width": 390, "height": 844})
+    expect(page.locator("main .card-fold").first).to_be_visible()
+    assert page.evaluate("document.documentElement.scrollHeight") <= 2500
+    card = page.locator("main .folds").first
+    card.locator(".card-fold").focus()
+    page.keyboard.press("Enter")
+    expect(card.locator(".card-fold")).to_have_attribute("aria-expanded", "true")
+    page.keyboard.press("Enter")
+    expect(card.locator(".card-fold")).to_have_attribute("aria-expanded", "false")
+    page.set_viewport_size({"width": 1360, "height": 850})
+    expect(page.locator("main .card-fold")).to_have_count(0)
+    assert not faults(page)
+
+
+def test_times_are_those_of_the_browsers_place_where_that_is_chosen(
+    units: dict[str, RunningServer], browser: Browser
+) -> None:
+    context = browser.new_context(timezone_id="Asia/Kolkata")
+    page = context.new_page()
+    page.goto(units["normal"].address)
+    expect(page.locator(".clock")).to_contain_text("UTC")
+    before = page.locator(".clock time").inner_text()
+    page.keyboard.press("?")
+    page.get_by_label("Times in").select_option("local")
+    page.keyboard.press("Escape")
+    expect(page.locator(".clock")).to_contain_text("UTC+5:30")
+    after = page.locator(".clock time").inner_text()
+    context.close()
+    minutes = [60 * int(text[:2]) + int(text[3:5]) for text in (before, after)]
+    assert (minutes[1] - minutes[0]) % 1440 in range(330, 334)

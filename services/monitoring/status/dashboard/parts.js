@@ -3,8 +3,7 @@ import { Component, h } from "preact";
 import { useEffect, useLayoutEffect, useRef } from "preact/hooks";
 import { signal } from "@preact/signals";
 import htm from "htm";
-import { ageS, clock, connected, freshness, isLive, link, paused, settings, state } from "./store.js";
-import { timeOfDay } from "./clock.js";
+import { ageS, clock, connected, dayOf, freshness, isLive, link, paused, settings, state, timeOfDay } from "./store.js";
 import { words } from "./words.js";
 
 export const html = htm.bind(h);
@@ -107,7 +106,7 @@ export function bytes(value) {
 
 export const rate = (value) => (value == null ? words.age.bar : value >= 10 ? value.toFixed(0) : value.toFixed(1));
 export const percent = (share) => (share == null ? words.age.bar : `${(share * 100).toFixed(share < 0.0995 ? 1 : 0)} %`);
-export { dayOf, timeOfDay, zone } from "./clock.js";
+export { dayOf, timeOfDay };
 export const degrees = (rad) => (rad * 180) / Math.PI;
 export const compass = (rad) => ((degrees(rad) % 360) + 360) % 360;
 

@@ -1,5 +1,5 @@
 // Every word of the page, in one place, so that it can be translated.
-import { zone } from "./clock.js";
+import { zone } from "./store.js";
 
 export const words = {
   skip: "Skip to the content",
@@ -45,13 +45,6 @@ export const words = {
     last: (word, age) => `Last report: ${word}, ${age} ago`,
   },
 
-  support: {
-    title: "Help",
-    note: "What somebody who helps needs: checks, settings without passwords, health, logs and the last five minutes, which hold where the vehicle was. The file goes to this browser only.",
-    download: "Download diagnostics", collecting: "Collecting: some seconds.",
-    done: (name) => `${name} was downloaded. Look through it before you pass it on.`,
-    failed: (why) => `Not collected: ${why}`,
-  },
   uplink: {
     watched: "WATCHED",
     watchers: (n) => `by ${n === 1 ? "1 person" : `${n} people`} of the control centre`,
@@ -426,18 +419,6 @@ export const words = {
     absent: "not fitted",
     unknown: "not known",
   },
-  statusWhy: {
-    ready: "Its heartbeat is in time.",
-    late: "Its heartbeat is overdue, but within the deadline.",
-    restarting: "It runs again, but has not published on all of its topics since.",
-    stale: "Connected, but no heartbeat within the deadline: it hangs or is overloaded.",
-    lost: "Its connection ended without a disconnect: it crashed or was killed.",
-    ended: "It was stopped on request.",
-    waiting: "Not seen yet; the unit has just started.",
-    missing: "It should run, but was never seen. Start it with `obu run`.",
-    absent: "It is not in the vehicle's file.",
-    unknown: "The broker or monitoring.health is not available, so its status is not known.",
-  },
 
   system: {
     title: "System",
@@ -515,74 +496,9 @@ export const words = {
     open: (name) => `Inspect ${name}`,
   },
 
-  inspector: {
-    title: (name) => `Topic ${name}`,
-    type: "Type",
-    from: "From",
-    rate: "Rate",
-    events: "(event-driven)",
-    jitter: "Jitter (1 σ)",
-    size: "Size",
-    age: "Age",
-    retained: "Retained",
-    yes: "yes",
-    no: "no",
-    bytes: "bytes",
-    qos: "QoS",
-    count: "Number",
-    message: "Newest message",
-    fields: "Numeric fields",
-    fieldColumns: ["Field", "Value", "Unit"],
-    findField: "Find a field",
-    plot: "Plot",
-    plotted: "Plotted",
-    plotField: (field) => `Plot ${field}`,
-    charts: (n) => `${n} ${n === 1 ? "field is" : "fields are"} on the page Charts`,
-    empty: "No message received yet.",
-    emptyWhy: (producers) => `It is published by ${producers}, and appears here with the first message.`,
-    failed: "This topic could not be read",
-    bytesNote: "Bytes of the device, as they are; the first 512 are shown.",
-  },
 
-  outages: {
-    title: "Outages",
-    note: "By root cause",
-    open: "open",
-    empty: "No outage recorded.",
-    affected: (topics) => `affected: ${topics.length > 6 ? `${topics.length} topics` : topics.join(", ")}`,
-  },
 
-  setUp: {
-    title: "Installation check",
-    note: "axes, signs, delays and scales, as driving shows them",
-    empty: "Nothing is known yet. A few minutes of driving with bends and stops show most of it.",
-    verdicts: { contradicts: "wrong", agrees: "agrees" },
-    setting: "Setting:",
-    unknown: (names) => `Not shown yet: ${names.join(", ")}.`,
-    names: {
-      accelerometer_scale: "accelerometer scale", imu_upright: "IMU upright", imu_axes: "IMU axes", imu_mounting: "IMU mounting",
-      gyroscope_axes: "gyroscope axes", gyroscope_bias: "gyroscope bias", gnss_velocity_axes: "axes of GNSS velocity", gnss_height: "GNSS height",
-      gnss_vertical_velocity: "vertical GNSS velocity", gnss_delay: "delay of GNSS position", gnss_velocity_delay: "delay of GNSS velocity",
-      odometer_scale: "odometer scale", lever_arm: "lever arm",
-    },
-  },
 
-  unitCard: {
-    title: "Unit",
-    note: "operating mode and filter, with reasons",
-    mode: "Mode",
-    modeFor: "In this mode for",
-    sources: "Sources",
-    none: "none chosen",
-    filter: "Filter",
-    fixes: "GNSS fixes",
-    samples: "Inertial samples",
-    usedRejected: (used, rejected) => `${used} used, ${rejected} discarded`,
-    gaps: "Gaps, resets",
-    gapsResets: (gaps, resets) => `${gaps} inertial gaps, ${resets} resets`,
-    recording: "Recording",
-    written: (size, dropped) => `${size}${dropped ? `, ${dropped} messages dropped` : ""}`,
-  },
 
   footer: {
     label: "State of the unit",

@@ -19,6 +19,7 @@ from cli.export.export import Format, export
 from cli.export.positions import of_fixes
 from cli.utc import UtcLine
 from shared.errors import UserError
+from shared.maths.geoid.geoid import separation_m
 from shared.messages.gnss import Constellation, FixType, GnssFix, GnssRawEpoch, RawMeasurement
 from shared.recording import RecordingWriter
 from tests.support.bus.envelopes import sent

@@ -1,5 +1,5 @@
 // Every word of the page Map.
-import { zone } from "../clock.js";
+import { zone } from "../store.js";
 
 export const w = {
   title: "Map",

@@ -1,5 +1,5 @@
 // The words of the page Settings.
-import { zone } from "../clock.js";
+import { zone } from "../store.js";
 
 export const settingsWords = {
   title: "Settings",

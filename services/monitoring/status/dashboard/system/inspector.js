@@ -3,12 +3,13 @@ import { useEffect, useState } from "preact/hooks";
 import { clock, contract, paused, remember, settings, togglePause } from "../store.js";
 import { Age, Drawer, Empty, Row, StateIcon, copyText, html, rate, seconds } from "../parts.js";
 import { words } from "../words.js";
+import { systemWords } from "./system_words.js";
 
 const FIELDS_SHOWN = 120;
 
 // Every numeric field with its value: chosen ones are drawn on the page Charts.
 function Fields({ name }) {
-  const t = words.inspector;
+  const t = systemWords.inspector;
   const [listed, setListed] = useState([]);
   const [filter, setFilter] = useState("");
   useEffect(() => {
@@ -85,7 +86,7 @@ function pretty(text) {
 }
 
 export function TopicDrawer({ name, onClose }) {
-  const t = words.inspector;
+  const t = systemWords.inspector;
   const { data, text, error } = useTopic(name);
   const [copied, setCopied] = useState(false);
   const row = contract.value.topics[name] ?? contract.value.topics[name.replace(/\/[^/]*$/, "/+")];

@@ -6,6 +6,7 @@ import {
 } from "../parts.js";
 import { TopicDrawer } from "./inspector.js";
 import { words } from "../words.js";
+import { systemWords } from "./system_words.js";
 
 const w = words.system;
 const DIP = 26; // how far a line between neighbours hangs down, in px
@@ -152,7 +153,7 @@ function NodeDrawer({ name, onClose }) {
   const list = (names) => (names.length ? html`<ul class="tags">${names.map((t) => html`<li><a href=${`#/system?topic=${t}`}>${t}</a></li>`)}</ul>` : words.system.nothing);
   return html`<${Drawer} title=${w.drawer(name)} onClose=${onClose}>
     <p class="lead-text">${row.purpose}.</p>
-    <p class="verdict"><${StateIcon} state=${STATUS_STATE[status]} word="" /><strong>${words.status[status]}</strong> ${words.statusWhy[status]}</p>
+    <p class="verdict"><${StateIcon} state=${STATUS_STATE[status]} word="" /><strong>${words.status[status]}</strong> ${systemWords.statusWhy[status]}</p>
     <dl class="rows">
       <${Row} label=${w.heartbeat} value=${html`<${Age} topic=${`health/${name}`} stamp=${p.heartbeat_ns} />`} />
       <${Row} label=${w.uptime} value=${p.since_ns && status === "ready" ? duration(Math.max(0, (nowMs() - p.since_ns / 1e6) / 1000)) : "-"} />
@@ -199,7 +200,7 @@ function TopicsCard() {
 }
 
 function OutagesCard() {
-  const t = words.outages;
+  const t = systemWords.outages;
   clock.value;
   const list = state.value.outages;
   const open = new Set(list.filter((o) => o.until_ns == null).map((o) => o.what));
@@ -224,7 +225,7 @@ function OutagesCard() {
 
 // Why the unit does what it does, in its own words.
 function UnitCard() {
-  const t = words.unitCard;
+  const t = systemWords.unitCard;
   const { mode, navigation, recording } = state.value;
   clock.value;
   const old = (topic, message) => isOld(topic, message?.updated_ns);
@@ -261,7 +262,7 @@ function CentreCard() {
 
 // What somebody who helps needs to know, as one file; it takes some seconds, and nothing is sent elsewhere.
 function SupportCard() {
-  const t = words.support;
+  const t = systemWords.support;
   const [told, setTold] = useState({ busy: false, text: "", failed: false });
   const collect = async () => {
     setTold({ busy: true, text: t.collecting, failed: false });
@@ -286,7 +287,7 @@ function SupportCard() {
 
 // What driving has shown of axes, signs, delays and scales; findings first.
 function SetUpCard() {
-  const t = words.setUp;
+  const t = systemWords.setUp;
   const { set_up: setUp } = state.value;
   const order = ["contradicts", "agrees", "unknown"];
   const checks = [...(setUp?.checks ?? [])].sort((a, b) => order.indexOf(a.verdict) - order.indexOf(b.verdict));

@@ -1,5 +1,5 @@
 // Every word of crossings and of the records of the tachograph on the page Trust.
-import { zone } from "../clock.js";
+import { zone } from "../store.js";
 
 export const w = {
   tachograph: {
