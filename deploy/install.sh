@@ -318,6 +318,7 @@ main() {
         shift
     done
     case $version in -*) fail "$version is no name of a version" 2 ;; esac
+    case $from in -*) fail "$from is no address" 2 ;; esac
     [ "${#ssid}" -le 32 ] || fail "the name of a Wi-Fi network has at most 32 characters" 2
     [ -z "$purge" ] || [ "$action" = remove ] || fail "--purge belongs to remove" 2
     check_machine
