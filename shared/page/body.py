@@ -10,17 +10,17 @@ BODY_BYTES = 2048
 BODY_S = 5.0
 
 
-async def read(request: Request) -> bytes:
+async def read(request: Request, most: int = BODY_BYTES, within_s: float = BODY_S) -> bytes:
     """Read the body of a request, of a bounded length, within a bounded time."""
     data = b""
     try:
-        async with asyncio.timeout(BODY_S):
+        async with asyncio.timeout(within_s):
             async for part in request.stream():
                 data += part
-                if len(data) > BODY_BYTES:
-                    raise HTTPException(413, f"a command has at most {BODY_BYTES} bytes")
+                if len(data) > most:
+                    raise HTTPException(413, f"it may have at most {most} bytes")
     except TimeoutError as error:
-        raise HTTPException(408, f"the command was not complete after {BODY_S:g} s; send it again") from error
+        raise HTTPException(408, f"it was not complete after {within_s:g} s; send it again") from error
     return data
 
 

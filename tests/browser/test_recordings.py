@@ -1,6 +1,7 @@
 """The page Recordings and the bar of a replay, in a real browser."""
 
 import os
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -95,3 +96,24 @@ def test_no_other_site_and_no_other_file(server: RunningServer) -> None:
     assert change(server.address, "/api/recordings", other).status_code == 404
     assert httpx.get(f"{url}/..%2Fstatus.address", timeout=HANGS_S).status_code == 404
     assert httpx.get(f"{url}/{NAME}", timeout=HANGS_S).content[:5] == b"\x89MCAP"
+
+
+def test_a_file_of_another_program_gets_a_mapping(
+    server: RunningServer, open_page: Callable[..., Page], tmp_path: Path
+) -> None:
+    table = tmp_path / "logger.csv"
+    rows = "".join(f"{1_700_000_000 + s},{48.1 + s * 1e-4:.6f},11.500000,520.0\n" for s in range(80))
+    table.write_text(f"time,lat,lon,alt\n{rows}")
+    page = open_page(server.address, path="recordings", expected=("422",))
+    card = page.get_by_role("region", name="Files of other programs")
+    card.get_by_label("Choose a table").set_input_files(table)
+    mapping = card.get_by_label("Mapping logger.toml")
+    expect(mapping).to_have_value(re.compile(r'latitude = .*"lat"'), timeout=HANGS_S * 1e3)
+    mapping.fill(mapping.input_value() + "# mine\n")
+    with page.expect_download() as waiting:
+        card.get_by_role("button", name="Download the mapping").click()
+    assert waiting.value.suggested_filename == "logger.toml"
+    assert Path(waiting.value.path()).read_text().endswith("# mine\n")
+    (tmp_path / "no.csv").write_text("a,b\n1,2\n3,4\n")
+    card.get_by_label("Choose a table").set_input_files(tmp_path / "no.csv")
+    expect(card.get_by_role("status")).to_contain_text("No draft: ", timeout=HANGS_S * 1e3)

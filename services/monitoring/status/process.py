@@ -34,6 +34,7 @@ from .views.prometheus import StateCollector, registry_of
 from .web.access.access import Access, Rules, is_simulated
 from .web.access.tokens import Tokens, tokens_folder
 from .web.command import CommandApi
+from .web.draft import DraftApi
 from .web.map import MapApi
 from .web.page_errors import PageErrorsApi, count
 from .web.recordings import Action, Job, RecordingsApi
@@ -196,7 +197,7 @@ class Process:
         maps = MapApi(state, lock, now_ns, self._config.map_file)
         access = self._make_access(bus)
         support = SupportApi((bus.state_dir / "jobs").resolve(), access.tokens)
-        app = make_app(api, (series, *apis, maps, support), read_pages(folder), watching, access)
+        app = make_app(api, (series, *apis, maps, support, DraftApi()), read_pages(folder), watching, access)
         per_client, trusted = self._config.connections_per_client, access.rules.trusted_proxies
         connections = Connections(4 * clients + 16, per_client, trusted, access.rules.published)
         return make_server(app, connections, LIMITED_LOGS)

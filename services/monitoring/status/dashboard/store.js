@@ -270,11 +270,12 @@ export async function renew() {
 // The page that is shown stays behind the #, so that the login comes back to it.
 export const toLogin = () => location.replace(`login${location.hash}`);
 
+const FILE_MS = 60000; // a file is sent and looked through
 const post = (path, command) => fetch(path, {
   method: "POST",
-  headers: { "Content-Type": "application/json", "X-OBU-CSRF": session.value?.csrf ?? "" },
-  body: JSON.stringify(command),
-  signal: AbortSignal.timeout(ANSWER_MS),
+  headers: { "Content-Type": command instanceof Blob ? "text/csv" : "application/json", "X-OBU-CSRF": session.value?.csrf ?? "" },
+  body: command instanceof Blob ? command : JSON.stringify(command),
+  signal: AbortSignal.timeout(command instanceof Blob ? FILE_MS : ANSWER_MS),
 });
 
 // Send a command. Its header proves that this page sends it; after a restart of the unit the value is another one.

@@ -42,6 +42,7 @@ from .access.login import LoginApi, LoginRequest
 from .access.manage import AddToken, RevokeToken, TokensApi
 from .access.tokens import Tokens
 from .command import CommandApi
+from .draft import DraftApi
 from .looking import look_at
 from .map import MapApi
 from .page_errors import PageErrorsApi
@@ -308,7 +309,7 @@ def app_without_unit() -> FastAPI:
     series = SeriesApi(state, lock, now_ns, 1)
     unit_settings = SettingsApi(state, lock, now_ns)
     support = SupportApi(pathlib.Path(), Tokens(pathlib.Path()))
-    apis = (series, simulation, replay, recordings, commands, unit_settings, maps, PageErrorsApi(), support)
+    apis = (series, simulation, replay, recordings, commands, unit_settings, maps, PageErrorsApi(), support, DraftApi())
     return make_app(api, apis, Pages({}, {}), watching, Access(Rules(), Tokens(pathlib.Path())))
 
 

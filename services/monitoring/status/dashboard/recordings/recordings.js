@@ -3,9 +3,11 @@ import { useEffect, useState } from "preact/hooks";
 import { change, link } from "../store.js";
 import { Card, Empty, bytes, dayOf, duration, html, metres, timeOfDay } from "../parts.js";
 import { words } from "../words.js";
+import { recordingsWords } from "./recordings_words.js";
 
-const w = words.recordings;
+const w = recordingsWords;
 const PERIOD_MS = 2000;
+const BEGINNING_BYTES = 1 << 20;
 
 async function ask(command) {
   const answer = await (command ? change("api/recordings", command) : fetch("api/recordings"));
@@ -72,14 +74,51 @@ function JobRow({ job, run }) {
     ${job.running && html`<button onClick=${() => run("stop", "")}>${w.stop}</button>`}</p>`;
 }
 
+// The browser sends the beginning of a file only; the mapping is corrected and kept by its owner.
+function DraftCard() {
+  const t = w.draft;
+  const [found, setFound] = useState(null); // { table, name, toml, text }
+  const [said, setSaid] = useState("");
+  const choose = async (event) => {
+    const file = event.target.files[0];
+    if (!file) return;
+    setFound(null);
+    setSaid(t.reading);
+    try {
+      const answer = await change(`api/draft?name=${encodeURIComponent(file.name)}`, file.slice(0, BEGINNING_BYTES));
+      const body = await answer.json();
+      if (!answer.ok) throw new Error(body.detail);
+      setFound({ table: file.name, ...body });
+      setSaid("");
+    } catch (problem) {
+      setSaid(t.failed(problem.message));
+    }
+  };
+  const save = () => {
+    const address = URL.createObjectURL(new Blob([found.toml], { type: "application/toml" }));
+    Object.assign(document.createElement("a"), { href: address, download: found.name }).click();
+    setTimeout(() => URL.revokeObjectURL(address), 60000);
+  };
+  return html`<${Card} title=${t.title} id="draft" fold class="draft-card">
+    <p class="note block">${t.note}</p>
+    <p class="block"><label>${t.choose} <input type="file" accept=".csv,.txt,.tsv,.dat,.log,text/*" onChange=${choose} /></label></p>
+    <p class="note block" role="status">${said}</p>
+    ${found && html`<h3>${t.preview}</h3><pre tabindex="0" aria-label=${t.preview}>${found.text}</pre>
+      <label class="block"><strong>${t.mapping(found.name)}</strong>
+        <textarea rows="16" spellcheck="false" value=${found.toml} onInput=${(e) => setFound({ ...found, toml: e.target.value })}></textarea></label>
+      <p class="block"><button onClick=${save}>${t.save}</button></p>
+      <p class="note block"><code>${t.next(found.name, found.table)}</code></p>`}
+  </${Card}>`;
+}
+
 export function RecordingsPage() {
   const [found, run, error] = useRecordings();
   if (!found) return html`<p class="boot">${words.connecting}</p>`;
-  return html`<${Card} title=${w.title} note=${found.free_bytes === null ? "" : w.free(bytes(found.free_bytes))} id="recordings">
+  return html`<div class="page"><${Card} title=${w.title} note=${found.free_bytes === null ? "" : w.free(bytes(found.free_bytes))} id="recordings">
     ${error && html`<p class="note block" role="alert">${w.refused(error)}</p>`}
     <${JobRow} job=${found.job} run=${run} />
     ${found.recordings.length ? html`<ul class="recordings">${found.recordings.map((r) => html`<${Recording} key=${r.name} r=${r} allowed=${found.allowed} job=${found.job} run=${run} />`)}</ul>`
       : html`<${Empty} title=${w.empty} why=${w.emptyWhy} />`}
     <p class="note block">${w.note}</p>
-  </${Card}>`;
+  </${Card}><${DraftCard} /></div>`;
 }

@@ -39,6 +39,7 @@ ROWS = (
     Row("POST", "/api/command", Right.OPERATE, "command to the unit; `confirm_position` needs admin"),
     Row("GET", "/api/settings", Right.VIEW, "settings, without passwords, and the newest change"),
     Row("POST", "/api/settings", Right.ADMIN, "check, change, confirm, take back, restore settings"),
+    Row("POST", "/api/draft", Right.OPERATE, "draft the mapping of a file for `obu import`"),
     Row("GET", "/api/support", Right.ADMIN, "collect and download diagnostics"),
     Row("POST", "/api/page-error", Right.VIEW, "report an error of the page's program"),
     Row("GET", "/api/track", Right.VIEW, "track of the drive"),
