@@ -201,6 +201,13 @@ export function Drawer({ title, onClose, children, head, wide }) {
 }
 
 // navigator.clipboard exists only over HTTPS; a unit on a local network is plain HTTP.
+// Let the browser save what this page holds.
+export function saveAs(blob, name) {
+  const address = URL.createObjectURL(blob);
+  Object.assign(document.createElement("a"), { href: address, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(address), 60000);
+}
+
 export async function copyText(text) {
   if (navigator.clipboard && window.isSecureContext) {
     await navigator.clipboard.writeText(text);

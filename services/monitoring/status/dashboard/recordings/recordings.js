@@ -1,7 +1,7 @@
 // The recordings of the unit: outline, length, verdicts and outages of each drive, and what may be done with it.
 import { useEffect, useState } from "preact/hooks";
 import { change, link } from "../store.js";
-import { Card, Empty, bytes, dayOf, duration, html, metres, timeOfDay } from "../parts.js";
+import { Card, Empty, bytes, dayOf, duration, html, metres, saveAs, timeOfDay } from "../parts.js";
 import { words } from "../words.js";
 import { recordingsWords } from "./recordings_words.js";
 
@@ -94,11 +94,7 @@ function DraftCard() {
       setSaid(t.failed(problem.message));
     }
   };
-  const save = () => {
-    const address = URL.createObjectURL(new Blob([found.toml], { type: "application/toml" }));
-    Object.assign(document.createElement("a"), { href: address, download: found.name }).click();
-    setTimeout(() => URL.revokeObjectURL(address), 60000);
-  };
+  const save = () => saveAs(new Blob([found.toml], { type: "application/toml" }), found.name);
   return html`<${Card} title=${t.title} id="draft" fold class="draft-card">
     <p class="note block">${t.note}</p>
     <p class="block"><label>${t.choose} <input type="file" accept=".csv,.txt,.tsv,.dat,.log,text/*" onChange=${choose} /></label></p>

@@ -2,7 +2,7 @@
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import { brokerAnswers, clock, connected, contract, freshness, isOld, nowMs, state } from "../store.js";
 import {
-  Age, Card, Drawer, FRESH_STATE, KindsTable, Row, STATUS_STATE, StateIcon, bytes, dayOf, duration, fixed, html, percent, rate, seconds, timeOfDay, told, unfold,
+  Age, Card, Drawer, FRESH_STATE, KindsTable, Row, STATUS_STATE, StateIcon, bytes, dayOf, duration, fixed, html, percent, rate, saveAs, seconds, timeOfDay, told, unfold,
 } from "../parts.js";
 import { TopicDrawer } from "./inspector.js";
 import { words } from "../words.js";
@@ -270,10 +270,7 @@ function SupportCard() {
       const answer = await fetch("api/support");
       if (!answer.ok) throw new Error((await answer.json()).detail ?? answer.statusText);
       const name = /filename="([^"]+)"/.exec(answer.headers.get("Content-Disposition") ?? "")?.[1] ?? "obu-support.zip";
-      const address = URL.createObjectURL(await answer.blob());
-      const link = Object.assign(document.createElement("a"), { href: address, download: name });
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(address), 60000);
+      saveAs(await answer.blob(), name);
       setTold({ busy: false, text: t.done(name), failed: false });
     } catch (problem) {
       setTold({ busy: false, text: t.failed(problem.message), failed: true });
