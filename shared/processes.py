@@ -216,9 +216,8 @@ PROCESSES = (
         container_user=10_117,
         consumes=(
             "gnss/fix", "imu/sample", "vehicle/speed", "vehicle/wheel_speed", "navigation/last_position",
-            "navigation/filter_state", "navigation/conflict_record", "trust/state", "gnss/fault_free_fix", "mode/state",
-            "mode/command",
-            "health/load",
+            "navigation/filter_state", "navigation/conflict_record", "trust/state", "gnss/fault_free_fix",
+            "gnss/carrier_displacement", "mode/state", "mode/command", "health/load",
         ),
         produces=(
             "navigation/solution", "navigation/state", "navigation/filter_state", "navigation/conflict_record",
