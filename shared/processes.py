@@ -254,7 +254,10 @@ PROCESSES = (
     ProcessRow(
         "core.evidence", Kind.STANDING, "evaluates the receiver's evidence: jamming and spoofing flags, signals, clock",
         container_user=10_121,
-        consumes=("gnss/signal_quality", "gnss/satellites", "gnss/fix", "host/clock", "mode/state"),
+        consumes=(
+            "gnss/signal_quality", "gnss/satellites", "gnss/fix", "gnss/carrier_displacement", "host/clock",
+            "mode/state",
+        ),
         produces=("trust/monitor",),
     ),
     ProcessRow(

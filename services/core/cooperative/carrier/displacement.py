@@ -78,6 +78,8 @@ class Displacement:
     redundancy: int
     statistic: float  # of the residuals, chi-square of so many degrees of freedom
     checked: bool  # one slip of any satellite that is used would have been found, or moves it by less than its noise
+    doppler_velocity_n: FloatArray | None = None  # [m/s, NED] mean of both epochs, of the same satellites
+    doppler_sd: FloatArray | None = None  # [m/s, NED] shape (3,)
 
 
 @dataclass(frozen=True)
@@ -245,7 +247,8 @@ def _fitted(
         fit, here_e, slow = found
         used = tuple(sight.satellite for sight in kept.sights)
         if fit.dof == 0 or fit.statistic <= chi_square_limit(fit.dof, FALSE_ALARM_RATE):
-            return _displacement(used, slipped, fit, here_e, first, slow, model.common_m_s * span_s)
+            displaced = _displacement(used, slipped, fit, here_e, first, slow, model.common_m_s * span_s)
+            return _with_doppler(displaced, [changes[row] for row in rows], kept.geometry(here_e), first, span_s)
         if fit.dof < TESTED_REDUNDANCY:
             return None
         worst = int(fit.w.argmax())
@@ -286,6 +289,27 @@ def _converged(
 def _phase_range(geometry: Geometry) -> FloatArray:
     """Range [m] that a phase has: the ionosphere shortens it by as much as it lengthens that of the code."""
     return geometry.distance + geometry.delay - 2.0 * geometry.ionosphere
+
+
+def _with_doppler(
+    displaced: Displacement, changes: list[_Change], geometry: Geometry, first: Geometry, span_s: float
+) -> Displacement:
+    """With the velocity that the mean Doppler of the same satellites gives, if enough of them have one.
+
+    What Doppler and phase differ by has the same geometry: -u_2' (d_D - d) + c (dt_D - dt).
+    """
+    tested = [(row, change.rate_m_s) for row, change in enumerate(changes) if change.rate_m_s is not None]
+    rows = [row for row, _ in tested]
+    if len(rows) < 4:
+        return displaced
+    sight_n = geometry.line_of_sight_n[rows] @ geometry.ned_from_ecef @ first.ned_from_ecef.T
+    H = np.hstack([-sight_n, np.ones((len(rows), 1))])
+    apart = np.array([rate * span_s - changes[row].phase_m for row, rate in tested])
+    fit = weighted_fit(H, apart, np.array([changes[row].rate_sd_m_s * span_s for row in rows]))
+    if fit is None:
+        return displaced
+    velocity_n = (displaced.displacement_n + fit.parameters[:3]) / span_s
+    return replace(displaced, doppler_velocity_n=velocity_n, doppler_sd=np.sqrt(fit.cov.diagonal()[:3]) / span_s)
 
 
 def _is_checked(fit: Fit, cov: FloatArray) -> bool:
