@@ -119,7 +119,8 @@ def of_kind(found: Sequence[Message], kind: type[T]) -> list[T]:
 
 def test_a_log_that_is_played_over_tcp_at_its_own_pace_is_fixes_phases_and_samples() -> None:
     found, rejects = parsed(received_over_tcp(log(3.0)))
-    fixes, epochs, samples = (of_kind(found, kind) for kind in (GnssFix, GnssRawEpoch, ImuSamples))
+    fixes, epochs = of_kind(found, GnssFix), of_kind(found, GnssRawEpoch)
+    samples = of_kind(found, ImuSamples)
     assert len(fixes) == 3 and fixes[0].latitude_deg == 42.37 and fixes[0].utc_ns == UTC_MS * MS
     assert len(epochs) >= 2 and [len(epoch.measurements) for epoch in epochs] == [3] * len(epochs)
     assert epochs[0].gps_time_ns == GPS_NS and epochs[0].leap_seconds == 18
