@@ -308,6 +308,7 @@ class GnssOutput(StrEnum):
     SIGNALS = "signals"
     INERTIAL = "inertial"
     WHEEL_TICKS = "wheel_ticks"
+    LEVELS = "levels"  # protection levels of its own, of receivers that compute them
 
 
 class GnssConfigure(Message):

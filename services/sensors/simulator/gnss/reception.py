@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
+from shared.messages.gnss import GnssStart
 
 from ..scenarios import Scenario
 from ..vehicle import AntennaState, Stream, Vector
@@ -16,6 +17,18 @@ FloatArray = npt.NDArray[np.float64]
 SETTLING_TIME_S = 15.0  # [s] initial standstill for the alignment; excluded from an exact RMSE
 REACQUISITION_S = 2.0  # [s] from the end of an outage to the first fix
 AMBIGUITIES_S = (("none", 8.0), ("float", 25.0))  # [s] after an outage, the time at which each state ends
+
+
+def search_s(start: GnssStart, rng: np.random.Generator) -> float:
+    """Time [s] from a restart to the first fix, as a receiver under open sky needs it; an assumption.
+
+    A hot start has all it needs once it tracks. Otherwise the three subframes of an ephemeris, of the five of 6 s that
+    repeat, take 18 s from the beginning of one that comes within 12 s. A cold start finds the signals first.
+    """
+    if start is GnssStart.HOT:
+        return float(rng.uniform(REACQUISITION_S, REACQUISITION_S + 1.0))
+    found_s = float(rng.uniform(2.0, 6.0) if start is GnssStart.COLD else rng.uniform(1.0, 2.0))
+    return found_s + float(rng.uniform(0.0, 12.0)) + 18.0
 
 
 @dataclass(frozen=True)
