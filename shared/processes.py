@@ -90,6 +90,7 @@ PROCESSES = (
     ProcessRow(
         "sensors.can", Kind.DEVICE_DRIVER, "reads the vehicle's CAN bus and asks for OBD-II speed",
         container_user=10_102,
+        consumes=("gnss/fix",),
         produces=("can/raw", "origin/state", "device/state"),
     ),
     ProcessRow(

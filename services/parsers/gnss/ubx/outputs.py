@@ -28,7 +28,8 @@ SATELLITES, SIGNALS = 32, 56  # in view of a receiver of two bands
 # [bytes] of a frame in each epoch in which it is sent. u-blox F9 HPG 1.32 (UBX-22008968), section 3.
 EPOCH_BYTES = {
     "NAV-PVT": 100, "NAV-EOE": 12, "NAV-COV": 72, "NAV-DOP": 26, "NAV-STATUS": 24, "MON-RF": 60, "SEC-SIG": 20,
-    "NAV-CLOCK": 28, "NAV-PL": 60, "NAV-SAT": 16 + 12 * SATELLITES, "RXM-RAWX": 24 + 32 * SIGNALS, "NAV-SIG": 16 + 16 * SIGNALS,
+    "NAV-CLOCK": 28, "NAV-SAT": 16 + 12 * SATELLITES, "RXM-RAWX": 24 + 32 * SIGNALS, "NAV-SIG": 16 + 16 * SIGNALS,
+    "NAV-PL": 60,
 }  # fmt: skip
 # [bytes/s] of what is not sent by epochs: 20 subframes of 60 bytes; wheel ticks at 10 Hz; 100 samples of 7 sensors.
 STEADY_BYTES_S = {"RXM-SFRBX": 1200, "ESF-MEAS": 400, "ESF-RAW": 6000}
