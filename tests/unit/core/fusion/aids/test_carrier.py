@@ -1,5 +1,6 @@
 """Displacements by carrier phases as an aid: consistent over an outage, and nothing where it is not switched on."""
 
+from collections import Counter
 from functools import cache
 
 import numpy as np
@@ -21,13 +22,16 @@ from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.core.fusion.solution import Solution
 from services.sensors.simulator.drive import Drive, simulate
+from services.sensors.simulator.world import messages
 from shared.inertial.strapdown import InertialState
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.maths.rotation import ned_from_body, quaternion_from_matrix
 from shared.messages.base import Symmetric3
 from shared.messages.gnss import CarrierDisplacement
-from shared.messages.navigation import AidingKind
-from shared.runtime.config import GnssAntenna, Vehicle
+from shared.messages.navigation import AidingKind, AidingUpdate
+from shared.runtime.config import GnssAntenna, Vehicle, parse_vehicle
+from shared.runtime.offline import OfflineUnit
+from tests.support.drives.golden import VEHICLE
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -148,12 +152,12 @@ def test_nothing_is_measured_where_it_is_not_switched_on() -> None:
     assert len(measurements_of(message, settings(carrier=True))) == 1
 
 
-def outcomes_of(messages: list[CarrierDisplacement]) -> list[tuple[AidingKind, int]]:
+def outcomes_of(given: list[CarrierDisplacement]) -> list[tuple[AidingKind, int]]:
     """Kinds and seconds of what was used of velocities and displacements, from 30 s to 45 s."""
     made = settings(carrier=True)
     navigator = Navigator(made)
     navigator.use_prior(saved_heading(drive(), YAW_SD))
-    measured = fixes(1, made) + [m for message in messages for m in measurements_of(message, made)]
+    measured = fixes(1, made) + [m for message in given for m in measurements_of(message, made)]
     found = []
     measured.sort(key=lambda m: m.time_ns)
     rows = zip(drive().t_ns[:4500].tolist(), drive().force_b.tolist(), drive().rate_b.tolist(), strict=False)
@@ -176,6 +180,20 @@ def test_an_epoch_has_a_displacement_or_a_velocity_and_an_unchecked_one_neither(
     assert all(kinds[second] is AidingKind.CARRIER_DISPLACEMENT for second in (32, 33, 34, 35, 42, 43))
     assert 36 not in kinds, "carried up to here, and nothing found of a slip"
     assert kinds[38] is kinds[37] is AidingKind.GNSS_VELOCITY
+
+
+@pytest.mark.slow
+def test_the_unit_uses_the_displacements_of_its_own_receiver() -> None:
+    """Bytes of the simulated receiver through all processes: displacements once ephemerides are there, after 30 s."""
+    text = VEHICLE.read_text(encoding="utf-8") + "\n[core.fusion.carrier]\nenabled = true\n"
+    unit, used, seconds = OfflineUnit(parse_vehicle(text)), Counter[AidingKind](), Counter[int]()
+    for message in unit.run(messages("parking_lot", 2, 70.0)):
+        if isinstance(message, AidingUpdate) and message.used:
+            used[message.kind] += 1
+            if message.kind in (AidingKind.CARRIER_DISPLACEMENT, AidingKind.GNSS_VELOCITY):
+                seconds[message.sampled_ns // S] += 1
+    assert used[AidingKind.CARRIER_DISPLACEMENT] > 30 > used[AidingKind.GNSS_VELOCITY] > 0
+    assert set(seconds.values()) == {1}
 
 
 def test_the_measurement_matrix_agrees_with_finite_differences() -> None:
