@@ -13,6 +13,7 @@ from shared.runtime.config import Section
 
 from .battery import NS, Autonomy, Decoder, Limits, LowBattery, Reading, SteadySupply
 
+MAX_CONSUMPTION_W = 1000.0  # beyond it a shunt is wrong
 SILENCE_TIMEOUT_NS = 5 * NS  # readings come every second
 
 
@@ -142,7 +143,7 @@ def _consumption_w(reading: Reading) -> float | None:
     """Power [W] out of the battery; None on mains, where the current is that of charging."""
     if not reading.on_battery or reading.voltage_v is None or reading.current_a is None:
         return None
-    return max(0.0, -reading.voltage_v * reading.current_a)
+    return min(max(0.0, -reading.voltage_v * reading.current_a), MAX_CONSUMPTION_W)
 
 
 def _text(reading: Reading, low: bool) -> str:
