@@ -58,7 +58,7 @@ def number(row: Row, name: str) -> float | None:
 
 
 def integer(row: Row, name: str) -> int | None:
-    """An integer, to the last digit; nanoseconds since 1980 do not fit a double. None of what is longer than 20."""
+    """An integer, to the last digit; nanoseconds since 1980 do not fit a double. None beyond 20 digits."""
     text = row.get(name, "")
     try:
         return int(text) if len(text) <= 20 else None

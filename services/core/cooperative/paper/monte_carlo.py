@@ -106,7 +106,7 @@ class Reception:
 
 
 EVERYTHING = Reception()
-UNHEARD_SD = 1e6  # [m/s] of the range-rate of a neighbour that is not received
+NOT_RECEIVED_SD = 1e6  # [m/s] of the range-rate of a neighbour that is not received
 
 
 def received(drive: Drive, reception: Reception) -> BoolArray:
@@ -141,7 +141,7 @@ def with_neighbours_and_map(
         stated[1],
         (true_rate + sd * drive.rate_noise[k - 1]).reshape(*axes, m),
         np.full(m, reception.position_sd),
-        np.where(seen, sd, UNHEARD_SD) if reception is not EVERYTHING else np.full(m, sd),
+        np.where(seen, sd, NOT_RECEIVED_SD) if reception is not EVERYTHING else np.full(m, sd),
     )
     estimate = correct_range_rates(estimate, reports)
     sds = np.array([settings.cross_track_sd, settings.height_sd, settings.lateral_speed_sd])
