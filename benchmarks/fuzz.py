@@ -114,7 +114,10 @@ def _golden(name: str) -> Callable[[], list[bytes]]:
 
 TARGETS = {
     "gnss": Target(
-        _stream(GnssRaw), ("gpsd_receiver_logs/*.log", "pyubx2_logs/*.log", "pyubx2_logs/*.ubx"), _golden("gnss.ubx")
+        _stream(GnssRaw),
+        ("gpsd_receiver_logs/*.log", "pyubx2_logs/*.log", "pyubx2_logs/*.ubx", "gsdc_samples/*GnssLog.txt",
+         "gsdc_samples/android_measurements*.txt"),
+        _golden("gnss.ubx"),
     ),
     "imu": Target(_stream(ImuRaw), ("xsens_xbus/*/output.bin",), _golden("imu.xbus")),
     "can": Target(

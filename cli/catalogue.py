@@ -136,6 +136,7 @@ COMMANDS = {
     "import": ("import_drive.import_drive", "import_drive"),
     "solve": ("solve.solve", "solve"),
     "kpi": ("kpi.kpi", "kpi"),
+    "kpi ttff": ("kpi.first_fix", "first_fix"),  # beside a command that has an argument
     "attack-lab": ("attack_lab.attack_lab", "attack_lab"),
     "replay": ("recordings.replay", "replay"),
     "export": ("export.export", "export"),

@@ -14,13 +14,25 @@ from .commands.common import end_on_sigterm
 def command_line(arguments: Sequence[str]) -> typer.Typer:
     """Give the command line with the command that is called; without the name of one, with all of them."""
     first = next(iter(arguments), "")
-    wanted = [path for path in COMMANDS if first not in NAMES or path.split()[0] == first]
+    wanted = _wanted(first, " ".join(arguments[:2]))
     app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode="rich")
     app.callback()(_program)
     groups = {"": app}
     for path in wanted:
         _add(path, groups)
     return app
+
+
+def _wanted(first: str, first_two: str) -> list[str]:
+    """Commands that are built; one below a command with an argument only where it is named."""
+    if first_two in COMMANDS and _is_beside(first_two):
+        return [first_two]
+    return [path for path in COMMANDS if (first not in NAMES or path.split()[0] == first) and not _is_beside(path)]
+
+
+def _is_beside(path: str) -> bool:
+    above = path.rpartition(" ")[0]
+    return above in COMMANDS and above not in GROUPS
 
 
 def _program() -> None:
@@ -46,7 +58,7 @@ def _group(path: str, groups: dict[str, typer.Typer]) -> typer.Typer:
         above, _, name = path.rpartition(" ")
         group = typer.Typer(no_args_is_help=path not in COMMANDS)  # the help of `record` is that of its function
         if path not in COMMANDS:
-            group.info.help = "\n\n".join(part for part in (SUMMARY.get(path), GROUPS[path]) if part)
+            group.info.help = "\n\n".join(part for part in (SUMMARY.get(path), GROUPS.get(path)) if part)
         _group(above, groups).add_typer(group, name=name)
         groups[path] = group
     return groups[path]

@@ -90,6 +90,7 @@ PROCESSES = (
     ProcessRow(
         "sensors.can", Kind.DEVICE_DRIVER, "reads the vehicle's CAN bus and asks for OBD-II speed",
         container_user=10_102,
+        consumes=("gnss/fix",),
         produces=("can/raw", "origin/state", "device/state"),
     ),
     ProcessRow(
@@ -216,9 +217,8 @@ PROCESSES = (
         container_user=10_117,
         consumes=(
             "gnss/fix", "imu/sample", "vehicle/speed", "vehicle/wheel_speed", "navigation/last_position",
-            "navigation/filter_state", "navigation/conflict_record", "trust/state", "gnss/fault_free_fix", "mode/state",
-            "mode/command",
-            "health/load",
+            "navigation/filter_state", "navigation/conflict_record", "trust/state", "gnss/fault_free_fix",
+            "gnss/carrier_displacement", "mode/state", "mode/command", "health/load",
         ),
         produces=(
             "navigation/solution", "navigation/state", "navigation/filter_state", "navigation/conflict_record",
@@ -255,7 +255,10 @@ PROCESSES = (
     ProcessRow(
         "core.evidence", Kind.STANDING, "evaluates the receiver's evidence: jamming and spoofing flags, signals, clock",
         container_user=10_121,
-        consumes=("gnss/signal_quality", "gnss/satellites", "gnss/fix", "host/clock", "mode/state"),
+        consumes=(
+            "gnss/signal_quality", "gnss/satellites", "gnss/fix", "gnss/carrier_displacement", "host/clock",
+            "mode/state",
+        ),
         produces=("trust/monitor",),
     ),
     ProcessRow(

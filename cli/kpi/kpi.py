@@ -66,6 +66,7 @@ def kpi(
     """Compute accuracy, availability, continuity, integrity, geometry and times of a drive.
 
     What the unit said while it drove is evaluated; a recording without a solution, as of `obu import`, is solved first.
+    Times to the first fix after restarts of a receiver: `obu kpi ttff --help`.
 
     Examples:
     [bold]obu kpi drive.mcap[/]

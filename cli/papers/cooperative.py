@@ -28,6 +28,15 @@ from services.core.cooperative.v2x.virtual import (
     residual_cov,
 )
 
+from .cooperative_over_time import (
+    SWEEPS,
+    SweepPoint,
+    one_run,
+    over_time_document,
+    over_time_figures,
+    sweep_point,
+    sweep_table,
+)
 from .navigation import WORKERS, in_parallel
 from .report import Figure, Paper, Table, figure
 
@@ -85,26 +94,33 @@ class Sensitivity:
     rates: Rates
 
 
+Done = Row | Sensitivity | SweepPoint
+
+
 def reproduce(runs: int, progress: bool) -> Paper:
     """Run the table of ten ratios and the sensitivities in parallel."""
-    jobs: list[Callable[[], Row | Sensitivity]] = [partial(row, k, runs, SEED) for k in range(len(RATIOS))]
+    jobs: list[Callable[[], Done]] = [partial(row, k, runs, SEED) for k in range(len(RATIOS))]
     jobs += [partial(sensitivity, assumption, runs) for assumption in ASSUMPTIONS]
+    jobs += [partial(sweep_point, sweep, one, runs, SEED) for sweep, received in SWEEPS.items() for one in received]
     done = list(in_parallel(_call, jobs, WORKERS, progress))
     rows = [row for row in done if isinstance(row, Row)]
     changed = [sensitivity for sensitivity in done if isinstance(sensitivity, Sensitivity)]
+    points, run = [point for point in done if isinstance(point, SweepPoint)], one_run(SEED)
     tables = [
         _rates_table(rows, runs),
         _positions_table(rows),
         _sensitivity_table(changed),
+        sweep_table(points),
         _thresholds_table(),
     ]
     return Paper(
-        "cooperative", tables, _document(rows, changed, runs), FITTED, (*NOT_REPRODUCED, *_steps(rows)),
-        deviations=deviations(rows, changed), figures=_figures(rows),
+        "cooperative", tables, _document(rows, changed, runs) | over_time_document(run, points), FITTED,
+        (*NOT_REPRODUCED, *_steps(rows)),
+        deviations=deviations(rows, changed), figures=_figures(rows) + over_time_figures(run, points),
     )  # fmt: skip
 
 
-def _call(job: Callable[[], Row | Sensitivity]) -> Row | Sensitivity:
+def _call(job: Callable[[], Done]) -> Done:
     return job()
 
 

@@ -228,6 +228,8 @@ class CarrierDisplacement(StampedMessage):
     redundancy: Count
     satellites_slipped: Annotated[tuple[Name, ...], Field(max_length=MAX_RAW_MEASUREMENTS)] = ()
     checked: bool  # one slip of half a cycle would have been found; without it nothing relies on the displacement
+    doppler_velocity_ned_m_s: Vector3 | None = None  # mean of both epochs by Doppler, of the same satellites
+    doppler_sd_ned_m_s: Vector3 | None = None
 
 
 class GnssNavigationBits(StampedMessage):
@@ -306,6 +308,7 @@ class GnssOutput(StrEnum):
     SIGNALS = "signals"
     INERTIAL = "inertial"
     WHEEL_TICKS = "wheel_ticks"
+    LEVELS = "levels"  # protection levels of its own, of receivers that compute them
 
 
 class GnssConfigure(Message):

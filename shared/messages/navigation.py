@@ -181,6 +181,7 @@ class AidingKind(StrEnum):
     BAROMETRIC_HEIGHT = "barometric_height"
     BASELINE_HEADING = "baseline_heading"
     MAGNETIC_HEADING = "magnetic_heading"
+    CARRIER_DISPLACEMENT = "carrier_displacement"
     EXTERNAL = "external"  # of a package that is installed beside the unit
 
 

@@ -33,6 +33,8 @@ class PowerState(Message):
     charge_ratio: Annotated[float, Field(ge=0.0, le=1.0), unit("1")] | None = None  # estimated from the voltage
     low: bool = False  # the unit should save its state and be switched off
     low_s: Seconds | None = None  # since the battery is below the threshold
+    consumption_w: Annotated[float, Field(ge=0.0, le=1000.0), unit("W")] | None = None  # of the battery; None on mains
+    autonomy_s: Seconds | None = None  # until the charge is low, by its fall since the mains were lost
     reason: Reason
 
 

@@ -3,14 +3,14 @@
 from collections.abc import Iterable
 from itertools import combinations
 
-from . import nmea, rtcm, spartn, text, ubx, undecoded, xbus
+from . import gnss_logger, nmea, rtcm, spartn, text, ubx, undecoded, xbus
 from .framing.framing import can_begin_alike
 from .protocol import Protocol
 
 # Those with a checksum first; lines of text last, since they claim what is of no other protocol.
 PROTOCOLS = (
     ubx.PROTOCOL, nmea.PROTOCOL, rtcm.PROTOCOL, xbus.PROTOCOL, spartn.PROTOCOL, *undecoded.PROTOCOLS,
-    text.ELM327, text.SLCAN, text.LINES,
+    gnss_logger.PROTOCOL, text.ELM327, text.SLCAN, text.LINES,
 )  # fmt: skip
 BY_NAME = {protocol.name: protocol for protocol in PROTOCOLS}
 

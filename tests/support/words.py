@@ -21,7 +21,7 @@ NUMBER, ANGLE, SHARE, STAMP_NS = 12345.6, 3.14, 0.123, 1_795_000_000 * 10**9
 # Values that are lists, and how many of them a sentence names, or a detail can.
 LISTS = {
     "suspects": 2, "monitors": 10, "supporting": 5, "contradicting": 5, "accused": 16, "satellites": 16,
-    "suspected_satellites": 16, "neighbours": 16, "sources": 4, "differences": 5, "missing": 8,
+    "suspected_satellites": 16, "neighbours": 16, "sources": 4, "differences": 5, "missing": 9,
 }  # fmt: skip
 LISTS |= {"topics": 16, "senders": 3, "axes": 2}
 QUOTED = ("clients", "error", "folder", "operator", "answer", "tariff_class", "file")  # texts of others

@@ -13,13 +13,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from services.parsers.gnss.android.fixes import fix_of
+from services.parsers.gnss.android.measurements import gps_time_ns, measurement
 from services.parsers.gnss.process import Config, Process
-from shared.maths.dates import GPS_EPOCH_UTC_NS, NS, WEEK_NS
+from shared.maths.dates import GPS_EPOCH_UTC_NS, NS
 from shared.maths.earth import FloatArray
-from shared.maths.gnss_signals import SPEED_OF_LIGHT
 from shared.messages.gnss import (
     Constellation,
-    FixType,
     GnssFix,
     GnssRaw,
     GnssRawEpoch,
@@ -28,47 +28,21 @@ from shared.messages.gnss import (
     Satellite,
 )
 from shared.messages.imu import ImuSamples
+from shared.protocols.gnss_logger import Row, fields_of, integer, number
 
 SOURCE = "phone0"
 MS = 1_000_000
 LEAP_SECONDS = 18  # GPS - UTC since 2017, for logs that state none
-L1_HZ = 1_575_420_030.0
-RANGES_M = (1.5e7, 6e7)  # pseudoranges of satellites in medium and geostationary orbits
-MAX_SV_TIME_SD_NS = 500.0
 BATCH = 10  # inertial samples a message
 SENSORS = ("UncalAccel", "Accel"), ("UncalGyro", "Gyro")
 MIN_SAMPLES = 2  # accelerations, between which those at the rates' times are interpolated
 GAP_NS = 100 * MS  # between accelerations, over which none is interpolated
-# Bits of State. A time of week or of day is decoded from this satellite, or known from others. A Galileo E1 signal has
-# a bit of its own for the lock to its code.
-CODE_LOCK = 1 | 1 << 10  # STATE_CODE_LOCK, STATE_GAL_E1BC_CODE_LOCK
-TIME_OF_WEEK = 1 << 3 | 1 << 14  # STATE_TOW_DECODED, STATE_TOW_KNOWN
-TIME_OF_DAY = 1 << 7 | 1 << 15  # STATE_GLO_TOD_DECODED, STATE_GLO_TOD_KNOWN
-RANGE_VALID, RANGE_INTERRUPTED, HALF_CYCLE_RESOLVED = 1, 2 | 4, 8  # bits of AccumulatedDeltaRangeState
-# Time of each system behind GPS time [ns]; GLONASS gives the time of day instead and is not read.
-SYSTEMS = {
-    1: (Constellation.GPS, 0), 4: (Constellation.QZSS, 0), 5: (Constellation.BEIDOU, 14 * NS),
-    6: (Constellation.GALILEO, 0),
-}  # fmt: skip
-GLONASS = 3
 CONSTELLATIONS = {
     1: Constellation.GPS, 2: Constellation.SBAS, 3: Constellation.GLONASS, 4: Constellation.QZSS,
     5: Constellation.BEIDOU, 6: Constellation.GALILEO, 7: Constellation.NAVIC,
 }  # fmt: skip
-# Observation codes by constellation and band; the band is known by its frequency [MHz].
-SIGNALS = {
-    (Constellation.GPS, 1575): "1C", (Constellation.GPS, 1176): "5Q", (Constellation.QZSS, 1575): "1C",
-    (Constellation.QZSS, 1176): "5Q", (Constellation.GALILEO, 1575): "1C", (Constellation.GALILEO, 1176): "5Q",
-    (Constellation.BEIDOU, 1561): "2I", (Constellation.BEIDOU, 1176): "5P", (Constellation.BEIDOU, 1575): "1P",
-}  # fmt: skip
-# Names of the same field in several versions, in lower case.
-NAMES = {
-    "latitude": "latitudedegrees", "longitude": "longitudedegrees", "altitude": "altitudemeters", "speed": "speedmps",
-    "accuracy": "accuracymeters", "(utc)timeinms": "unixtimemillis", "bearing": "bearingdegrees",
-}  # fmt: skip
 OLDEST_FIX = ("provider", "latitudedegrees", "longitudedegrees", "altitudemeters", "speedmps", "accuracymeters")
 NMEA_LINE = re.compile(r"NMEA,\s*(\$[^*]*\*[0-9A-Fa-f]{2})\s*,\s*(\d{1,16})\s*")
-Row = dict[str, str]
 LogMessage = GnssFix | GnssRawEpoch | GnssSatellites | ImuSamples
 
 
@@ -94,8 +68,7 @@ def read_log(lines: Iterable[str]) -> Log:
         fields = [name.strip() for name in line.lstrip("# ").strip().split(",")]
         if line.startswith("#"):
             if len(fields) > 1:
-                names = (name.lower() for name in fields[1:])
-                headers[fields[0]] = tuple(NAMES.get(name, name) for name in names)
+                headers[fields[0]] = fields_of(fields[1:])
             continue
         if len(fields) < 2 or not fields[0]:
             continue
@@ -142,7 +115,7 @@ def _clock_offset(log: Log) -> int | None:
         round(utc) * MS - round(elapsed)
         for kind in ("UncalAccel", "Accel", "UncalGyro", "Gyro")
         for row in log.rows.get(kind, ())
-        if (utc := _number(row, "utctimemillis")) and (elapsed := _number(row, "elapsedrealtimenanos"))
+        if (utc := number(row, "utctimemillis")) and (elapsed := number(row, "elapsedrealtimenanos"))
     ]
     return int(np.median(pairs)) if pairs else None
 
@@ -154,28 +127,18 @@ def _fixes(log: Log, offset_ns: int | None) -> Iterator[GnssFix]:
         if row["provider"].lower() != "gps":
             log.rejects["fix of another provider"] += 1
             continue
-        found = [_number(row, name) for name in ("latitudedegrees", "longitudedegrees", "unixtimemillis")]
-        latitude, longitude, utc_ms = found
-        if latitude is None or longitude is None or utc_ms is None or abs(latitude) > 90.0 or abs(longitude) > 180.0:
+        fix = fix_of(row)
+        if fix is None:
             log.rejects["fix without position or time"] += 1
             continue
-        elapsed = _number(row, "elapsedrealtimenanos")
-        utc_ns = round(utc_ms) * MS
-        stamp_ns = utc_ns if elapsed is None or offset_ns is None else round(elapsed) + offset_ns
+        elapsed = number(row, "elapsedrealtimenanos")
+        assert fix.utc_ns is not None
+        stamp_ns = fix.utc_ns if elapsed is None or offset_ns is None else round(elapsed) + offset_ns
         if stamp_ns <= last_ns:
             log.rejects["fix not later than the previous one"] += 1
             continue
         last_ns = stamp_ns
-        speed, bearing = _number(row, "speedmps"), _number(row, "bearingdegrees")
-        horizontal, vertical = _number(row, "accuracymeters"), _number(row, "verticalaccuracymeters")
-        # Android's horizontal accuracy is the radius of 68 %: 1.51 standard deviations of an axis.
-        axis = None if not horizontal else horizontal / math.sqrt(-2.0 * math.log(0.32))
-        yield GnssFix(
-            sampled_ns=stamp_ns, received_ns=stamp_ns, source=SOURCE, utc_ns=utc_ns, fix_type=FixType.THREE_D,
-            latitude_deg=latitude, longitude_deg=longitude, height_ellipsoid_m=_number(row, "altitudemeters"),
-            ground_speed_m_s=speed, course_rad=None if bearing is None else math.radians(bearing),
-            position_sd_ned_m=(axis, axis, vertical) if axis and vertical else None,
-        )  # fmt: skip
+        yield fix.model_copy(update={"sampled_ns": stamp_ns, "received_ns": stamp_ns, "source": SOURCE})
 
 
 def _fixes_of_sentences(log: Log) -> Iterator[GnssFix]:
@@ -206,15 +169,15 @@ def contents(log: Log) -> str:
 def _satellites(log: Log) -> Iterator[GnssSatellites]:
     epochs: dict[int, list[Satellite]] = defaultdict(list)
     for row in log.rows.get("Status", ()):
-        utc_ms, system, number = (_number(row, name) for name in ("unixtimemillis", "constellationtype", "svid"))
-        if utc_ms is None or system is None or number is None or not 0 < number < 300:
+        utc_ms, system, satellite = (number(row, name) for name in ("unixtimemillis", "constellationtype", "svid"))
+        if utc_ms is None or system is None or satellite is None or not 0 < satellite < 300:
             log.rejects["status without time or satellite"] += 1
             continue
-        elevation, azimuth = _number(row, "elevationdegrees"), _number(row, "azimuthdegrees")
+        elevation, azimuth = number(row, "elevationdegrees"), number(row, "azimuthdegrees")
         located = elevation is not None and azimuth is not None and abs(elevation) <= 90.0
         epochs[round(utc_ms) * MS].append(Satellite(
-            constellation=CONSTELLATIONS.get(round(system), Constellation.UNKNOWN), number=round(number),
-            cn0_db_hz=_number(row, "cn0dbhz") or None, used=_number(row, "usedinfix") == 1.0,
+            constellation=CONSTELLATIONS.get(round(system), Constellation.UNKNOWN), number=round(satellite),
+            cn0_db_hz=number(row, "cn0dbhz") or None, used=number(row, "usedinfix") == 1.0,
             elevation_rad=math.radians(elevation or 0.0) if located else None,
             azimuth_rad=math.radians(azimuth or 0.0) if located else None,
         ))  # fmt: skip
@@ -225,34 +188,21 @@ def _satellites(log: Log) -> Iterator[GnssSatellites]:
 
 
 def _raw_epochs(log: Log) -> Iterator[GnssRawEpoch]:
-    """Pseudoranges of all signals of one time of the receiver's clock.
-
-    Notes
-    -----
-    With the times of reception and transmission by the receiver's clock and by the satellite's::
-
-        t_rx = TimeNanos - (FullBiasNanos + BiasNanos),    t_tx = ReceivedSvTimeNanos
-        pseudorange = c ((t_rx + TimeOffsetNanos - t_system - t_tx) mod week)
-
-    References
-    ----------
-    European GNSS Agency, Using GNSS raw measurements on Android devices, 2017, section 2.4.
-    """
+    """Pseudoranges of all signals of one time of the receiver's clock."""
     epochs: dict[tuple[int, int], list[RawMeasurement]] = defaultdict(list)
     stamps: dict[tuple[int, int], int | None] = {}
     for row in log.rows.get("Raw", ()):
-        clock = _integer(row, "timenanos"), _integer(row, "fullbiasnanos")
-        if clock[0] is None or not clock[1]:
+        gps_ns = gps_time_ns(row)
+        if gps_ns is None:
             log.rejects["raw without the receiver's clock"] += 1
             continue
-        gps_ns = clock[0] - clock[1] - round(_number(row, "biasnanos") or 0.0)
-        key = gps_ns, round(_number(row, "leapsecond") or LEAP_SECONDS)
-        measured = _measurement(row, gps_ns)
+        key = gps_ns, round(number(row, "leapsecond") or LEAP_SECONDS)
+        measured = measurement(row, gps_ns)
         if isinstance(measured, str):
             log.rejects[f"raw: {measured}"] += 1
             continue
         epochs[key].append(measured)
-        stamps[key] = _integer(row, "utctimemillis")
+        stamps[key] = integer(row, "utctimemillis")
     last_ns = 0
     for (gps_ns, leap_seconds), measurements in sorted(epochs.items()):
         utc_ms = stamps[gps_ns, leap_seconds]
@@ -265,53 +215,6 @@ def _raw_epochs(log: Log) -> Iterator[GnssRawEpoch]:
             sampled_ns=stamp_ns, received_ns=stamp_ns, source=SOURCE, gps_time_ns=gps_ns, leap_seconds=leap_seconds,
             measurements=tuple(measurements[:128]),
         )  # fmt: skip
-
-
-def _measurement(row: Row, gps_ns: int) -> RawMeasurement | str:
-    """One signal, or why it is rejected."""
-    system, number, state = (_integer(row, name) for name in ("constellationtype", "svid", "state"))
-    sent_ns, offset_ns = _integer(row, "receivedsvtimenanos"), _number(row, "timeoffsetnanos") or 0.0
-    if reason := _without_time(system, state or 0):
-        return reason
-    if system not in SYSTEMS or number is None or not 0 < number < 300:
-        return "constellation"
-    sent_sd_ns = _number(row, "receivedsvtimeuncertaintynanos")
-    if sent_ns is None or sent_sd_ns is None or not 0.0 <= sent_sd_ns <= MAX_SV_TIME_SD_NS:
-        return "time of transmission"
-    constellation, behind_ns = SYSTEMS[system]
-    flight_ns = (gps_ns - behind_ns - sent_ns + WEEK_NS // 2) % WEEK_NS - WEEK_NS // 2 + offset_ns
-    pseudorange = flight_ns / NS * SPEED_OF_LIGHT
-    if not RANGES_M[0] <= pseudorange <= RANGES_M[1]:
-        return "pseudorange beyond any orbit"
-    frequency = _number(row, "carrierfrequencyhz") or L1_HZ
-    if not 1.1e9 <= frequency <= 1.7e9:
-        return "carrier frequency"
-    wavelength = SPEED_OF_LIGHT / frequency
-    rate, rate_sd = (
-        _number(row, "pseudorangeratemeterspersecond"),
-        _number(row, "pseudorangerateuncertaintymeterspersecond"),
-    )
-    phase_state, distance = _integer(row, "accumulateddeltarangestate"), _number(row, "accumulateddeltarangemeters")
-    phase_state = phase_state or 0
-    carrier = phase_state & RANGE_VALID and distance is not None
-    return RawMeasurement(
-        constellation=constellation, number=number, signal=SIGNALS.get((constellation, int(frequency // 1e6))),
-        pseudorange_m=pseudorange, pseudorange_sd_m=max(sent_sd_ns, 1.0) / NS * SPEED_OF_LIGHT,
-        carrier_phase_cycles=distance / wavelength if carrier and distance is not None else None,
-        half_cycle_resolved=bool(phase_state & HALF_CYCLE_RESOLVED),
-        lock_time_s=0.0 if phase_state & RANGE_INTERRUPTED else None,  # reset, or a cycle slip
-        doppler_hz=None if rate is None else -rate / wavelength,
-        doppler_sd_hz=None if rate_sd is None else rate_sd / wavelength, cn0_db_hz=_number(row, "cn0dbhz"),
-    )  # fmt: skip
-
-
-def _without_time(system: int | None, state: int) -> str:
-    """Why the time of transmission of a signal is not known, or not used; empty where it is."""
-    if not state & CODE_LOCK:
-        return "no lock to the code"
-    if system == GLONASS:
-        return "GLONASS is not used" if state & TIME_OF_DAY else "no time of day"
-    return "" if state & TIME_OF_WEEK else "no time of week"
 
 
 def _inertial(log: Log, offset_ns: int | None, axes: FloatArray) -> Iterator[ImuSamples]:
@@ -348,8 +251,8 @@ def _triples(log: Log, kind: str, offset_ns: int) -> tuple[np.ndarray[tuple[int]
     """Stamps [ns] and the three values of each row of a sensor, later ones only."""
     stamps, values = list[int](), list[list[float]]()
     for row in log.rows[kind]:
-        elapsed = _number(row, "elapsedrealtimenanos")
-        found = [_number(row, name) for name in list(row)[2:5]]
+        elapsed = number(row, "elapsedrealtimenanos")
+        found = [number(row, name) for name in list(row)[2:5]]
         if elapsed is None or len(found) != 3 or None in found:
             log.rejects[f"{kind}: not a number"] += 1
         elif stamps and round(elapsed) + offset_ns <= stamps[-1]:
@@ -363,7 +266,7 @@ def _triples(log: Log, kind: str, offset_ns: int) -> tuple[np.ndarray[tuple[int]
 def _series(log: Log, kind: str, offset_ns: int, size: int) -> list[tuple[int, FloatArray]]:
     found = []
     for row in log.rows.get(kind, ()):
-        elapsed, values = _number(row, "elapsedrealtimenanos"), [_number(row, name) for name in list(row)[2 : 2 + size]]
+        elapsed, values = number(row, "elapsedrealtimenanos"), [number(row, name) for name in list(row)[2 : 2 + size]]
         if elapsed is not None and None not in values:
             found.append((round(elapsed) + offset_ns, np.array(values, dtype=float)))
     return sorted(found, key=lambda pair: pair[0])
@@ -379,21 +282,3 @@ def _last(series: list[tuple[int, FloatArray]], time_ns: int) -> FloatArray | No
 def _triple(values: FloatArray) -> tuple[float, float, float]:
     x, y, z = values.tolist()
     return x, y, z
-
-
-def _number(row: Row, name: str) -> float | None:
-    try:
-        value = float(row.get(name, ""))
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
-
-
-def _integer(row: Row, name: str) -> int | None:
-    """An integer, to the last digit; nanoseconds since 1980 do not fit a double."""
-    text = row.get(name, "")
-    try:
-        return int(text)
-    except ValueError:
-        value = _number(row, name)
-        return None if value is None or abs(value) > 1e15 else round(value)

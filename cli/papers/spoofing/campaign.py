@@ -1,7 +1,7 @@
 """Thresholds learned on training drives, false detections on validation drives, and attacks on these."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -57,6 +57,14 @@ class DriveRates:
     true_velocity: FloatArray | None  # None of a recording
     sensors: Mapping[tuple[Mode, float], Rates]  # n - 1 seconds each; see `sensors_of`
     force_class: IntArray  # shape (n - 1,) of the largest | |f| - g | of each second
+    carrier_velocity: FloatArray | None = None  # shape (n, 3) [m/s, ENU] the paper's input; None of a recording
+
+    @property
+    def by_carrier(self) -> "DriveRates":
+        """The drive with the velocity by carrier phases in place of that of the receiver."""
+        if self.carrier_velocity is None:
+            raise ValueError("a recording has no velocity by carrier phases")
+        return replace(self, velocity=self.carrier_velocity)
 
 
 def measured(drive: PhoneDrive) -> DriveRates:
@@ -72,7 +80,7 @@ def measured(drive: PhoneDrive) -> DriveRates:
     )
     excess = np.abs(np.linalg.norm(drive.force, axis=1) - STANDARD_GRAVITY).reshape(-1, RATE_HZ).max(axis=1)
     force_class = np.searchsorted(FORCE_EDGES_M_S2, excess)[:-1]
-    return DriveRates(drive.velocity, drive.true_velocity, sensors, force_class)
+    return DriveRates(drive.velocity, drive.true_velocity, sensors, force_class, drive.carrier_velocity)
 
 
 def measure(seed: int) -> DriveRates:

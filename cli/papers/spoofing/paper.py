@@ -39,6 +39,8 @@ from .campaign import (
 )
 from .method import CUT_OFF_HZ, gnss_rates
 from .over_time import above_before_and_after, errors_by_cut_off, figures_over_time, thresholds
+from .phone_phases import PUBLISHED_M_S, PhoneVelocity, phone_velocities
+from .phone_phases import RECORDING as PHASES
 from .recorded import RECORDING, halves, phone_drives
 
 COLUMNS = (*(metric.value for metric in Metric), "any")
@@ -115,6 +117,8 @@ class Findings:
     phones: dict[str, dict[Mode, tuple[dict[str, float], float, float]]]  # false [%], k, episodes in the second half
     by_cut_off: dict[float, float]  # [m/s²] error of the acceleration against the truth
     phone_sigma: dict[str, tuple[float, float]]  # [deg/s] of the heading rate by compass and by gyroscope
+    carrier: ModeResult  # the paper's own mode, with velocities by carrier phases
+    phone_velocity: dict[str, PhoneVelocity]  # of recorded phones at rest
     skipped: list[str]
 
 
@@ -127,13 +131,17 @@ def reproduce(drives: int, progress: bool) -> Paper:
     folder = recordings.find(RECORDING)
     phones = phone_drives(folder) if folder is not None else {}
     skipped = [] if folder is not None else [recordings.missing(RECORDING, "drives that phones recorded")]
+    phases = recordings.find(PHASES)
+    skipped += [] if phases is not None else [recordings.missing(PHASES, "carrier phases of phones at rest")]
     found = Findings(
         split, validation, modes, _cut_offs(training, validation), _without_barometer(validation, modes),
         {name: _phone(drive) for name, drive in phones.items()}, errors_by_cut_off(),
-        {name: _heading_sigma(drive) for name, drive in phones.items()}, skipped,
+        {name: _heading_sigma(drive) for name, drive in phones.items()},
+        evaluate([one.by_carrier for one in training], [one.by_carrier for one in validation], Mode.PAPER_RAW),
+        {} if phases is None else phone_velocities(phases), skipped,
     )  # fmt: skip
     tables = [_false_table(found), _attack_table(found), *_sigma_tables(found), _cut_off_table(found)]
-    tables += [_barometer_table(found), *_phone_tables(found)]
+    tables += [_carrier_table(found), _barometer_table(found), *_phone_tables(found)]
     return Paper(
         "spoofing", tables, _document(found), FITTED, [*NOT_REPRODUCED, *outside_tolerance(modes)], skipped,
         deviations(modes), _figures(found),
@@ -307,6 +315,27 @@ def _barometer_table(found: Findings) -> Table:
     return Table("A phone without barometer: detected within 30 and 60 s", columns, rows)
 
 
+def _carrier_table(found: Findings) -> Table:
+    """Thresholds of the paper's mode by carrier phases, beside those by the velocity that a receiver states."""
+    results = {"carrier": found.carrier, "receiver": found.modes[Mode.PAPER_RAW]}
+    rows = []
+    for metric in Metric:
+        unit = 180.0 / np.pi if metric is Metric.HEADING_RATE else 1.0
+        rows += [
+            (f"{SHORT[metric.value]}, {name}", *(f"{unit * value:.3f}" for value in limits[metric.value]),
+             f"{result.false[metric.value]:.2f}")
+            for name, result in results.items() for limits in (thresholds(result.sigma),)
+        ]  # fmt: skip
+    rows += [
+        (f"{one.carrier_m_s * 1e3:.1f} mm/s, {name}", *("",) * (CLASSES - 1), f"Doppler {one.doppler_m_s * 1e3:.0f}",
+         f"{one.checked}/{one.intervals}")
+        for name, one in found.phone_velocity.items()
+    ]  # fmt: skip
+    columns = ("3 sigma of", *(f"class {number}" for number in range(1, CLASSES + 1)), "false [%]")
+    title = "The paper's mode by carrier phases: thresholds [deg/s, m/s2, m/s] by class; phones at rest, checked"
+    return Table(title, columns, rows)
+
+
 def _phone_tables(found: Findings) -> list[Table]:
     if not found.phones:
         return []
@@ -376,6 +405,23 @@ def _document(found: Findings) -> dict[str, object]:
         },
         "phone_heading_rate_sd_deg_s": found.phone_sigma,
         "thresholds": thresholds(found.modes[Mode.PAPER_RAW].sigma),
+        "by_carrier": {
+            "thresholds": thresholds(found.carrier.sigma),
+            "false_detections_percent": found.carrier.false,
+            "k": found.carrier.k,
+            "validation_alarms_per_hour": found.carrier.validation_episodes_per_hour,
+            "attacks": attacks(found.carrier.detected),
+        },
+        "phones_at_rest": {
+            name: {
+                "carrier_m_s": one.carrier_m_s,
+                "doppler_m_s": one.doppler_m_s,
+                "intervals": one.intervals,
+                "checked": one.checked,
+                "paper_m_s": PUBLISHED_M_S,
+            }
+            for name, one in found.phone_velocity.items()
+        },
         "above_three_sigma_percent_true_and_replayed": above_before_and_after(
             found.validation, found.modes[Mode.PAPER_RAW].sigma
         ),

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from services.sensors.simulator.drive import simulate
+from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.rotation import ned_from_body
 
 FloatArray = npt.NDArray[np.float64]
@@ -30,6 +30,7 @@ PITCH_PER_M_S2, ROLL_PER_M_S2 = radians(0.6), radians(0.8)  # suspension
 MOUNT = (radians(4.0), radians(-25.0), radians(12.0))  # roll, pitch, yaw
 TILT_SD, YAW_SD, ATTITUDE_S = radians(0.35), radians(1.0), 60.0  # error of an attitude filter: assumed
 VELOCITY_SD = (0.03, 0.03, 0.08)  # [m/s, ENU]
+CARRIER_NOISE_M_S = 0.0097  # the paper's, of a displacement in a second, in space
 OUTLIERS, OUTLIER_SD = 0.005, 0.5  # [-], [m/s]
 ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
@@ -45,6 +46,7 @@ class PhoneDrive:
     d_from_enu: FloatArray  # shape (10 n, 3, 3) attitude with the error of an attitude filter
     velocity: FloatArray  # shape (n, 3) [m/s, ENU] by GNSS
     true_velocity: FloatArray  # shape (n, 3) [m/s, ENU]
+    carrier_velocity: FloatArray  # shape (n, 3) [m/s, ENU] by displacements of carrier phases, of the seconds beside
 
 
 def drive_phone(seed: int) -> PhoneDrive:
@@ -92,7 +94,22 @@ def drive_phone(seed: int) -> PhoneDrive:
         force, rate, field,
         drive.position[STRIDE // 2 :: STRIDE, 2] + BAROMETER_SD * rng.standard_normal(n),
         np.swapaxes(wrong, 1, 2), true_velocity + noise, true_velocity,
+        carrier_velocity(drive, np.random.default_rng((seed, 3))) @ ENU_FROM_NED.T,
     )  # fmt: skip
+
+
+def carrier_velocity(drive: Drive, rng: np.random.Generator) -> FloatArray:
+    """Velocity [m/s, NED] at each second by the displacements of the seconds before and after it, shape (n, 3).
+
+    A displacement is the mean velocity of its second. That of the paper's phone at rest is 9.7 mm/s, which is taken
+    for the noise of two epochs, a third of its square on each axis; successive displacements share one of them.
+    """
+    means = np.array(drive.velocity_n).reshape(DURATION_S, -1, 3).mean(axis=1)
+    epoch = CARRIER_NOISE_M_S / np.sqrt(6.0) * rng.standard_normal((DURATION_S + 1, 3))
+    displaced = means + np.diff(epoch, axis=0)
+    before = np.vstack([displaced[:1], displaced[:-1]])
+    velocity: FloatArray = 0.5 * (before + displaced)
+    return velocity
 
 
 def correlated(rng: np.random.Generator, shape: tuple[int, int], correlation_s: float) -> FloatArray:

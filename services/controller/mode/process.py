@@ -34,7 +34,7 @@ class Config(Section):
         default=(
             GnssOutput.FIX, GnssOutput.DILUTION, GnssOutput.COVARIANCE, GnssOutput.SATELLITES,
             GnssOutput.RAW_MEASUREMENTS, GnssOutput.NAVIGATION_BITS, GnssOutput.INTERFERENCE, GnssOutput.CLOCK,
-            GnssOutput.SIGNALS,
+            GnssOutput.SIGNALS, GnssOutput.LEVELS,
         ),
         description="what the GNSS receiver is asked to tell; it sends the rest even if it has not all of it",
     )  # fmt: skip

@@ -86,6 +86,11 @@ class Config(VehicleSettings):
         default=False,
         description="also use neighbours whose CAM are not authenticated: anybody may state them",
     )
+    learn_oscillators: bool = Field(
+        default=False,
+        description="learn the oscillators of neighbours that publish no offset, as of received CAM, by the carrier "
+        "frequency of their messages",
+    )
     silent_after_s: float = Field(
         default=3.0, gt=0.0, description="time without raw measurements after which the satellites are not evaluated"
     )
@@ -109,6 +114,7 @@ class Process:
                     model=model,
                     missed_detection_rate=config.missed_detection_rate,
                     paper_construction=config.method == "paper",
+                    learn_oscillators=config.learn_oscillators,
                 )
             )
             self._cooperative.alert_limit_m = config.vehicle.alert_limit_horizontal_m

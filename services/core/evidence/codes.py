@@ -20,6 +20,7 @@ class Code(StrEnum):
     NO_CLOCK = "evidence.no_clock"
     NO_GNSS_TIME = "evidence.no_gnss_time"
     NO_HOST_TIME = "evidence.no_host_time"
+    NO_VELOCITIES = "evidence.no_velocities"
     SILENT = "evidence.silent"
     # a test with one
     SPOOFING = "evidence.spoofing"
@@ -33,3 +34,5 @@ class Code(StrEnum):
     CLOCK_AFTER_LOSS = "evidence.clock_after_loss"
     GNSS_TIME = "evidence.gnss_time"
     HOST_TIME = "evidence.host_time"
+    VELOCITIES = "evidence.velocities"
+    VELOCITIES_AGREE = "evidence.velocities_agree"

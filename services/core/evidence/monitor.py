@@ -12,7 +12,15 @@ from math import degrees
 import numpy as np
 
 from shared.messages.explanation import Explanation, explain
-from shared.messages.gnss import GnssSatellites, GnssSignalQuality, InterferenceState, RadioPath, ReceiverClock
+from shared.messages.gnss import (
+    CarrierDisplacement,
+    GnssFix,
+    GnssSatellites,
+    GnssSignalQuality,
+    InterferenceState,
+    RadioPath,
+    ReceiverClock,
+)
 from shared.messages.operation import HostClock
 from shared.messages.trust import Outcome
 from shared.trust.accused import GNSS
@@ -22,6 +30,7 @@ from .baselines import NS, RECENT_S, ClockPrediction, SlowMean, TimeOffset
 from .codes import Code
 from .drift_over_loss import DriftOverLoss
 from .settings import Settings
+from .velocities import Difference, VelocityComparison
 
 SEVERITY = {InterferenceState.NONE: 0.0, InterferenceState.INDICATED: 1.0, InterferenceState.SEVERE: 2.0}
 FLAG_LIMIT = 0.5
@@ -99,6 +108,7 @@ class EvidenceMonitor:
         self._clock, self._drift, self._offset = ClockPrediction(), DriftOverLoss(), TimeOffset()
         self._host: HostClock | None = None
         self._source = ""
+        self._velocities = VelocityComparison(s.velocities_m_s)
         self.tests = {
             name: EvidenceTest(name, missing, count=count, latency_s=latency_s, hold_s=s.hold_s)
             for name, missing, count, latency_s in (
@@ -110,6 +120,7 @@ class EvidenceMonitor:
                 ("clock", Code.NO_CLOCK, 1, 0.0),
                 ("gnss_time", Code.NO_GNSS_TIME, 1, RECENT_S),
                 ("host_time", Code.NO_HOST_TIME, PERSISTENT, RECENT_S),
+                ("velocities", Code.NO_VELOCITIES, PERSISTENT, 5.0),
             )
         }
 
@@ -117,6 +128,7 @@ class EvidenceMonitor:
         """Note whose messages follow: the oscillators of two receivers differ."""
         if source != self._source:
             self._source, self._drift = source, DriftOverLoss()
+            self._velocities = VelocityComparison(self.settings.velocities_m_s)
 
     def quality(self, message: GnssSignalQuality) -> None:
         """Use flags, gain, clock and steps of the receiver's time."""
@@ -165,6 +177,13 @@ class EvidenceMonitor:
         if step_s is not None:
             self._use_time(received_ns, step_s)
         self._compare_with_host(received_ns, late_s)
+
+    def velocity(self, message: GnssFix | CarrierDisplacement) -> None:
+        """Compare the velocity that the receiver states, and those by Doppler and by carrier phases."""
+        compared = self._velocities
+        found = compared.fix(message) if isinstance(message, GnssFix) else compared.displacement(message)
+        if found is not None:
+            self._use_difference(found)
 
     def host_clock(self, message: HostClock) -> None:
         """Use a reading of the host's clock."""
@@ -238,6 +257,15 @@ class EvidenceMonitor:
         limit_s = s.host_time_s + host.maximum_error_s
         why = explain(Code.HOST_TIME, ahead_s=ahead_s)
         self.tests["host_time"].evaluated(time_ns, evaluation(abs(ahead_s), limit_s, "s", why))
+
+    def _use_difference(self, found: Difference) -> None:
+        ratio = found.distance_m_s / found.limit_m_s
+        why = explain(Code.VELOCITIES_AGREE)
+        if ratio > 1.0:
+            why = explain(
+                Code.VELOCITIES, differs=found.differs, distance_m_s=found.distance_m_s, limit_m_s=found.limit_m_s
+            )
+        self.tests["velocities"].evaluated(found.time_ns, evaluation(ratio, 1.0, "-", why))
 
     def _use_time(self, time_ns: int, step_s: float) -> None:
         limit_s = self.settings.time_step_s

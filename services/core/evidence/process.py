@@ -7,7 +7,7 @@ from dataclasses import replace
 from shared.chosen import ChosenSource, receiver_choice, receiver_of
 from shared.messages.base import Tick
 from shared.messages.explanation import Explanation, explain
-from shared.messages.gnss import GnssFix, GnssSatellites, GnssSignalQuality
+from shared.messages.gnss import CarrierDisplacement, GnssFix, GnssSatellites, GnssSignalQuality
 from shared.messages.operation import HostClock, ModeState
 from shared.messages.trust import Outcome, TrustMonitor
 from shared.trust.result import Test, statement
@@ -16,7 +16,7 @@ from .codes import Code
 from .monitor import EvidenceMonitor
 from .settings import Settings
 
-In = GnssSignalQuality | GnssSatellites | GnssFix | HostClock | ModeState | Tick
+In = GnssSignalQuality | GnssSatellites | GnssFix | CarrierDisplacement | HostClock | ModeState | Tick
 RESTART_NS = 5_000_000_000  # by which an arrival is earlier than the newest one where a time line starts again
 OWN_TESTS = ("spoofing_flag", "jamming_flag", "gain", "cn0_level", "cn0_spread", "clock")
 
@@ -53,8 +53,12 @@ class Process:
                     self._monitor.quality(message)
                 case GnssSatellites():
                     self._monitor.satellites(message)
-                case GnssFix() if message.utc_ns is not None:
-                    self._monitor.time(message.received_ns, message.utc_ns, message.late_s or 0.0)
+                case GnssFix():
+                    self._monitor.velocity(message)
+                    if message.utc_ns is not None:
+                        self._monitor.time(message.received_ns, message.utc_ns, message.late_s or 0.0)
+                case CarrierDisplacement():
+                    self._monitor.velocity(message)
 
     def _is_chosen(self, source: str, now_ns: int) -> bool:
         if not self._receivers.takes(source, now_ns):

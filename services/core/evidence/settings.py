@@ -55,6 +55,11 @@ class Settings(Section):
     host_clock_age_s: float = Field(
         default=60.0, gt=0.0, description="age from which a reading of the host's clock no longer counts"
     )
+    velocities_m_s: float = Field(
+        default=0.5, gt=0.0,
+        description="distance of the receiver's velocity, that by Doppler or that by carrier phases from the other two "
+        "which accuses, as a mean of 5 s, beside three stated standard deviations and a lag of 0.3 s",
+    )  # fmt: skip
     baseline_s: float = Field(default=300.0, gt=0.0, description="time constant of the means of gain and C/N0")
     learning_s: float = Field(default=60.0, gt=0.0, description="time until these means are used")
     hold_s: float = Field(default=10.0, ge=0.0, description="time for which an accusation lasts after its last cause")

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from shared.chosen import ChosenSource, gnss_choice, imu_choice, receiver_choice, receiver_of, speed_choice
 from shared.messages.base import Message, Tick
 from shared.messages.explanation import Explanation
-from shared.messages.gnss import FaultFreeFix, GnssFix
+from shared.messages.gnss import CarrierDisplacement, FaultFreeFix, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import (
     AidingUpdate,
@@ -44,6 +44,7 @@ In = (
     | WheelSpeeds
     | TrustState
     | FaultFreeFix
+    | CarrierDisplacement
     | ProcessLoad
     | ModeCommand
     | Tick

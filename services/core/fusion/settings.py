@@ -7,6 +7,7 @@ from pydantic import Field
 from shared.runtime.config import Section, VehicleSettings
 
 from .aids.barometer.settings import BarometerSettings
+from .aids.carrier.settings import CarrierSettings
 from .aids.gnss.settings import GnssSettings
 from .aids.magnetometer.settings import MagnetometerSettings
 from .aids.non_holonomic.settings import NonHolonomicSettings
@@ -148,6 +149,7 @@ class Settings(VehicleSettings):
     )
     imu: ImuSettings = ImuSettings()
     gnss: GnssSettings = GnssSettings()
+    carrier: CarrierSettings = CarrierSettings()
     odometer: OdometerSettings = OdometerSettings()
     non_holonomic: NonHolonomicSettings = NonHolonomicSettings()
     standstill: StandstillSettings = StandstillSettings()

@@ -12,6 +12,7 @@ from typing import Any, cast
 from shared.packages import AID_STATES, brought
 
 from .aids.barometer.states import BLOCKS as BAROMETER
+from .aids.carrier.states import BLOCKS as CARRIER
 from .aids.gnss.states import POSITION_BLOCKS, VELOCITY_BLOCKS
 from .aids.non_holonomic.states import BLOCKS as NON_HOLONOMIC
 from .aids.odometer.states import BLOCKS as ODOMETER
@@ -26,7 +27,7 @@ INERTIAL = (
     Block("accelerometer_scale", 3, "-", sd=lambda s: s.imu.accelerometer_scale_sd),
     Block("gyroscope_scale", 3, "-", sd=lambda s: s.imu.gyroscope_scale_sd),
 )
-AIDS = (*ODOMETER, *NON_HOLONOMIC, *POSITION_BLOCKS, *BAROMETER, *VELOCITY_BLOCKS)
+AIDS = (*ODOMETER, *NON_HOLONOMIC, *POSITION_BLOCKS, *BAROMETER, *VELOCITY_BLOCKS, *CARRIER)
 
 
 def external_blocks() -> tuple[Block, ...]:

@@ -37,7 +37,7 @@ class Settings(VehicleSettings):
     gnss_correlation_s: float = Field(default=2.0, gt=0.0, description="correlation time of GNSS speed errors")
     dead_zone_m_s: float = Field(default=3.0 * KM_H, ge=0.0, description="speed below which the odometer may read zero")
     delay_limits_s: tuple[float, float] = Field(
-        default=(-1.0, 3.0), description="smallest and largest delay of the odometer's stamps that is learned"
+        default=(-1.0, 1.0), description="smallest and largest delay of the odometer's stamps that is learned"
     )
     motion_sensor_moving_m_s: float = Field(
         default=5.0 * KM_H, gt=0.0, description="GNSS speed that contradicts an odometer at zero"

@@ -28,7 +28,8 @@ class Config(Section):
         default=0.05, ge=0.0, description="minimum delay from a GNSS epoch to its first received byte"
     )
     use_receiver_imu: bool = Field(
-        default=False, description="whether the inertial sensors inside the receiver (UBX-ESF-RAW) are used as an IMU"
+        default=False,
+        description="whether the inertial sensors inside the receiver (UBX-ESF-RAW), or of a phone, are used as an IMU",
     )
     metres_per_wheel_tick: float = Field(
         default=0.0, ge=0.0, le=10.0, description="distance of a wheel tick of UBX-ESF-MEAS; 0: ticks are not used"

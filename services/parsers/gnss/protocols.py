@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from shared.protocols.framing.framing import Framing
 from shared.protocols.registry import BY_NAME
 
+from .android.dialect import GnssLoggerDialect
 from .dialect import Dialect
 from .nmea.dialect import NmeaDialect
 from .rtcm import RtcmDialect
@@ -22,6 +23,7 @@ class ProtocolRow:
 PROTOCOLS = (
     ProtocolRow(BY_NAME["UBX"].framing, UbxDialect),
     ProtocolRow(BY_NAME["NMEA"].framing, NmeaDialect),
+    ProtocolRow(BY_NAME["GnssLogger"].framing, GnssLoggerDialect),
     ProtocolRow(BY_NAME["RTCM"].framing, RtcmDialect),
 )
 FRAMINGS = tuple(row.framing for row in PROTOCOLS)

@@ -16,6 +16,8 @@ MAX_CURRENT_A = 20.0  # more than any supply of such a computer; a wrong shunt s
 # voltage of two cells steps by about 0.3 V.
 MAX_STEP_V = 1.0
 SILENT_BUS = b"\xff\xff\xff\xff"  # no device answers: the lines stay high
+SETTLING_NS = 60 * NS  # after the mains are lost, in which the voltage falls by the load alone
+LEAST_USED = 0.02  # [-] of the charge, below which its fall is mostly noise of the voltage
 STEPS = 5  # readings in a row that confirm a voltage after a step
 
 
@@ -120,6 +122,34 @@ class SteadySupply:
         return True
 
 
+class Autonomy:
+    """How long the battery lasts, by how its charge has fallen since the mains were lost.
+
+    Charge is estimated from the voltage, which falls at once by the load: the first minute on battery is left out.
+    """
+
+    def __init__(self) -> None:
+        self._lost_ns: int | None = None
+        self._begun: tuple[int, float] | None = None  # time and charge, a minute after the mains were lost
+
+    def left_s(self, reading: Reading, now_ns: int, low_ratio: float) -> float | None:
+        """Time until the charge is low [s]; None on mains, without a charge, or before it has fallen by 2 %."""
+        charge = reading.charge_ratio
+        if not reading.on_battery or charge is None:
+            self._lost_ns = self._begun = None
+            return None
+        self._lost_ns = now_ns if self._lost_ns is None else self._lost_ns
+        if self._begun is None and now_ns - self._lost_ns >= SETTLING_NS:
+            self._begun = now_ns, charge
+        if self._begun is None:
+            return None
+        begun_ns, begun = self._begun
+        used = begun - charge
+        if used < LEAST_USED:
+            return None
+        return max(charge - low_ratio, 0.0) / used * (now_ns - begun_ns) / NS
+
+
 class LowBattery:
     """Decides whether the battery is nearly empty: for a while, and not right after the start.
 
@@ -145,15 +175,15 @@ class LowBattery:
         self._last_ns = 0
         self._is_low = False
 
-    def update(self, reading: Reading, now_ns: int, low_ratio: float) -> bool:
-        """Take a plausible reading; whether the battery is nearly empty."""
+    def update(self, reading: Reading, now_ns: int, low_ratio: float, *, short: bool = False) -> bool:
+        """Take a plausible reading; whether the battery is nearly empty, or `short` of the time that is wanted."""
         if self._first_ns is None:
             self._first_ns = now_ns
         elapsed_ns, self._last_ns = now_ns - self._last_ns, now_ns
         if elapsed_ns > self._hold_ns:  # a gap is no proof
             self._mains_ns, self._below_ns, self._is_low = None, None, False
         if reading.on_battery:
-            above = reading.charge_ratio is not None and reading.charge_ratio > low_ratio
+            above = not short and reading.charge_ratio is not None and reading.charge_ratio > low_ratio
             on_battery_before = self._mains_ns is None
             self._mains_ns = None
             if above:

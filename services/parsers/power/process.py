@@ -11,8 +11,9 @@ from shared.messages.base import Message, Tick
 from shared.messages.power import PowerEvent, PowerRaw, PowerState
 from shared.runtime.config import Section
 
-from .battery import NS, Decoder, Limits, LowBattery, Reading, SteadySupply
+from .battery import NS, Autonomy, Decoder, Limits, LowBattery, Reading, SteadySupply
 
+MAX_CONSUMPTION_W = 1000.0  # beyond it a shunt is wrong
 SILENCE_TIMEOUT_NS = 5 * NS  # readings come every second
 
 
@@ -38,6 +39,13 @@ class Config(Section):
     )
     low_charge_ratio: float = Field(
         default=0.1, ge=0.0, le=0.9, description="share of charge at which the battery is nearly empty"
+    )
+    low_autonomy_s: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=86400.0,
+        description="time that the battery lasts, by its own fall, below which it counts as nearly empty as well; 0: "
+        "its share of charge alone counts",
     )
     low_hold_s: float = Field(
         default=10.0,
@@ -85,6 +93,8 @@ class Process:
         self._reading: Reading | None = None  # the newest, with the state that lasts
         self._read_ns = 0
         self._is_low = False
+        self._autonomy = Autonomy()
+        self._left_s: float | None = None  # until the battery is low
 
     def handle(self, message: Message) -> Iterator[PowerState | PowerEvent]:
         """Process a reading or a tick."""
@@ -104,8 +114,12 @@ class Process:
             return
         was_low, first = self._is_low, self._supply.on_battery is None
         changed = self._supply.update(reading.on_battery, raw.received_ns)
-        self._is_low = self._low.update(reading, raw.received_ns, self._config.low_charge_ratio)
-        self._reading = reading = replace(reading, on_battery=self._supply.on_battery is True)
+        low_ratio = self._config.low_charge_ratio
+        lasting = replace(reading, on_battery=self._supply.on_battery is True)
+        self._left_s = self._autonomy.left_s(lasting, raw.received_ns, low_ratio)
+        short = self._left_s is not None and self._left_s < self._config.low_autonomy_s
+        self._is_low = self._low.update(reading, raw.received_ns, low_ratio, short=short)
+        self._reading = reading = lasting
         self._read_ns = raw.received_ns
         if self._is_low is not was_low or (changed and (reading.on_battery or not first)):
             yield PowerEvent(
@@ -121,7 +135,15 @@ class Process:
             sampled_ns=now_ns, source=self._source or "", on_battery=reading.on_battery, since_ns=self._supply.since_ns,
             voltage_v=reading.voltage_v, current_a=reading.current_a, charge_ratio=reading.charge_ratio,
             low=self._is_low, low_s=self._low.below_s(), reason=_text(reading, self._is_low),
+            consumption_w=_consumption_w(reading), autonomy_s=self._left_s,
         )  # fmt: skip
+
+
+def _consumption_w(reading: Reading) -> float | None:
+    """Power [W] out of the battery; None on mains, where the current is that of charging."""
+    if not reading.on_battery or reading.voltage_v is None or reading.current_a is None:
+        return None
+    return min(max(0.0, -reading.voltage_v * reading.current_a), MAX_CONSUMPTION_W)
 
 
 def _text(reading: Reading, low: bool) -> str:

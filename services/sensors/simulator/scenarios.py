@@ -27,6 +27,7 @@ class Scenario:
     constellations: tuple[str, ...] = ("gps", "galileo", "glonass", "beidou")
     mask_deg: float = 10.0  # elevation mask of the surroundings
     loss_db: float = 0.0  # signal attenuation
+    hold_s: float = 0.0  # for which the receiver repeats its velocity in a tunnel, and then states zero; 0: no fix
 
 
 def _round_the_lot() -> Course:
@@ -104,6 +105,10 @@ SCENARIOS = (
     ),
     Scenario("highway", "a motorway with RTK corrections", MOTORWAY, 600.0, carrier="fixed"),
     Scenario("tunnel", "a country road with tunnels of 16 s and 43 s", HILL, 600.0),
+    Scenario(
+        "tunnel-hold", "the same, with a receiver that repeats its speed in a tunnel for 10 s, and then states zero",
+        HILL, 600.0, hold_s=10.0,
+    ),
     *(
         Scenario(
             f"degraded-{i}", f"the car park with the degraded GNSS of drive {i} of the paper", LOT,

@@ -35,7 +35,7 @@ def test_the_command_prints_every_ratio_and_writes_figures(
     assert [item["ratio"] for item in document["ratios"]] == list(RATIOS)
     assert document["mean"]["published"] == pytest.approx([2.83, 0.457, 47.27], abs=0.005)
     assert set(document["sensitivities"]) == {assumption.name for assumption in ASSUMPTIONS}
-    assert len(list(tmp_path.glob("*.svg"))) == 2
+    assert len(list(tmp_path.glob("*.svg"))) == 4
 
 
 def test_white_errors_of_the_reference_do_not_change_the_missed_ramp() -> None:

@@ -16,7 +16,7 @@ from math import exp, pi, radians, sqrt
 
 import numpy as np
 
-from shared.maths.gnss_signals import SPEED_OF_LIGHT
+from shared.maths.gnss_signals import SPEED_OF_LIGHT, Klobuchar
 from shared.maths.quantiles import chi_square_limit
 
 from ..broadcast.ephemeris import Ephemeris
@@ -78,10 +78,12 @@ class Displacement:
     redundancy: int
     statistic: float  # of the residuals, chi-square of so many degrees of freedom
     checked: bool  # one slip of any satellite that is used would have been found, or moves it by less than its noise
+    doppler_velocity_n: FloatArray | None = None  # [m/s, NED] mean of both epochs, of the same satellites
+    doppler_sd: FloatArray | None = None  # [m/s, NED] shape (3,)
 
 
 @dataclass(frozen=True)
-class _Change:
+class PhaseChange:
     """Change of one satellite's phase, freed of what its clock has done."""
 
     first: SatelliteMeasurement
@@ -138,17 +140,17 @@ def carrier_displacement(
         return None
     try:
         times_ns = first.gps_time_ns, second.gps_time_ns
-        return _fitted(changes, slipped, times_ns, store, position_e, model, errors)
+        return displacement_by(changes, slipped, times_ns, store.ionosphere, position_e, model, errors)
     except np.linalg.LinAlgError:
         return None
 
 
 def _changes(
     first: RawEpoch, second: RawEpoch, store: EphemerisStore, span_s: float, errors: ErrorModel
-) -> tuple[list[_Change], list[SatelliteId]]:
+) -> tuple[list[PhaseChange], list[SatelliteId]]:
     """Changes of the phases that go on, and satellites whose phase has jumped by the receiver's flags or by Doppler."""
     before = {measurement.satellite: measurement for measurement in first.measurements}
-    changes: list[_Change] = []
+    changes: list[PhaseChange] = []
     slipped: list[SatelliteId] = []
     for now in second.measurements:
         then = before.pop(now.satellite, None)
@@ -179,7 +181,7 @@ def _is_interrupted(then: Measurement, now: Measurement, span_s: float) -> bool:
 
 def _change(
     then: Measurement, now: Measurement, then_ns: int, now_ns: int, ephemeris: Ephemeris, errors: ErrorModel
-) -> _Change:
+) -> PhaseChange:
     states = [
         at_transmission(ephemeris, one.pseudorange_m, time_ns) for one, time_ns in ((then, then_ns), (now, now_ns))
     ]
@@ -197,10 +199,10 @@ def _change(
         )
         for one, state in zip((then, now), states, strict=True)
     )  # fmt: skip
-    return _Change(first, second, by_carrier + clock_m, by_carrier, rate, rate_sd)
+    return PhaseChange(first, second, by_carrier + clock_m, by_carrier, rate, rate_sd)
 
 
-def _jumped_by_doppler(changes: list[_Change], span_s: float) -> list[_Change]:
+def _jumped_by_doppler(changes: list[PhaseChange], span_s: float) -> list[PhaseChange]:
     """Changes that contradict their own Doppler, beside the median of all: what the clock does is common.
 
     A jump of the clock is one of the interval by the clock as well, over which the ranges have changed less.
@@ -221,18 +223,19 @@ def _jumped_by_doppler(changes: list[_Change], span_s: float) -> list[_Change]:
     ]
 
 
-def _fitted(
-    changes: list[_Change],
+def displacement_by(
+    changes: list[PhaseChange],
     slipped: list[SatelliteId],
     times_ns: tuple[int, int],
-    store: EphemerisStore,
+    ionosphere: Klobuchar | None,
     position_e: FloatArray,
     model: CarrierModel,
     errors: ErrorModel,
 ) -> Displacement | None:
+    """Displacement of `carrier_displacement` by changes of phases, with satellites that are known already."""
     span_s = (times_ns[1] - times_ns[0]) * 1e-9
-    first = Sky(tuple(change.first for change in changes), times_ns[0], store.ionosphere, errors).geometry(position_e)
-    second = Sky(tuple(change.second for change in changes), times_ns[1], store.ionosphere, errors)
+    first = Sky(tuple(change.first for change in changes), times_ns[0], ionosphere, errors).geometry(position_e)
+    second = Sky(tuple(change.second for change in changes), times_ns[1], ionosphere, errors)
     # Phase ranges at the second epoch, but for the change of the clock: to be compared with predicted ones.
     measured = np.array([change.range_m for change in changes]) + _phase_range(first)
     mask = max(errors.elevation_mask_rad, model.elevation_mask_rad)
@@ -245,7 +248,8 @@ def _fitted(
         fit, here_e, slow = found
         used = tuple(sight.satellite for sight in kept.sights)
         if fit.dof == 0 or fit.statistic <= chi_square_limit(fit.dof, FALSE_ALARM_RATE):
-            return _displacement(used, slipped, fit, here_e, first, slow, model.common_m_s * span_s)
+            displaced = _displacement(used, slipped, fit, here_e, first, slow, model.common_m_s * span_s)
+            return _with_doppler(displaced, [changes[row] for row in rows], kept.geometry(here_e), first, span_s)
         if fit.dof < TESTED_REDUNDANCY:
             return None
         worst = int(fit.w.argmax())
@@ -286,6 +290,27 @@ def _converged(
 def _phase_range(geometry: Geometry) -> FloatArray:
     """Range [m] that a phase has: the ionosphere shortens it by as much as it lengthens that of the code."""
     return geometry.distance + geometry.delay - 2.0 * geometry.ionosphere
+
+
+def _with_doppler(
+    displaced: Displacement, changes: list[PhaseChange], geometry: Geometry, first: Geometry, span_s: float
+) -> Displacement:
+    """With the velocity that the mean Doppler of the same satellites gives, if enough of them have one.
+
+    What Doppler and phase differ by has the same geometry: -u_2' (d_D - d) + c (dt_D - dt).
+    """
+    tested = [(row, change.rate_m_s) for row, change in enumerate(changes) if change.rate_m_s is not None]
+    rows = [row for row, _ in tested]
+    if len(rows) < 4:
+        return displaced
+    sight_n = geometry.line_of_sight_n[rows] @ geometry.ned_from_ecef @ first.ned_from_ecef.T
+    H = np.hstack([-sight_n, np.ones((len(rows), 1))])
+    apart = np.array([rate * span_s - changes[row].phase_m for row, rate in tested])
+    fit = weighted_fit(H, apart, np.array([changes[row].rate_sd_m_s * span_s for row in rows]))
+    if fit is None:
+        return displaced
+    velocity_n = (displaced.displacement_n + fit.parameters[:3]) / span_s
+    return replace(displaced, doppler_velocity_n=velocity_n, doppler_sd=np.sqrt(fit.cov.diagonal()[:3]) / span_s)
 
 
 def _is_checked(fit: Fit, cov: FloatArray) -> bool:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from shared.messages.base import Vector3
 from shared.messages.gnss import CarrierDisplacement
 
 from ..broadcast.store import EphemerisStore
@@ -54,4 +55,12 @@ def _message(found: Displacement, source: str, since_ns: int, sampled_ns: int, r
         displacement_ned_m=(north, east, down), displacement_cov_ned_m2=upper(found.cov),
         slow_cov_ned_m2=upper(found.slow_cov), satellites_used=len(found.used), redundancy=found.redundancy,
         satellites_slipped=tuple(map(str, found.slipped)), checked=found.checked,
+        doppler_velocity_ned_m_s=_vector(found.doppler_velocity_n), doppler_sd_ned_m_s=_vector(found.doppler_sd),
     )  # fmt: skip
+
+
+def _vector(values: FloatArray | None) -> Vector3 | None:
+    if values is None:
+        return None
+    north, east, down = values.tolist()
+    return north, east, down

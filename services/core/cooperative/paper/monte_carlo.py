@@ -95,7 +95,31 @@ def start_estimate(drive: Drive) -> Estimate:
     return Estimate(x, P)
 
 
-def with_neighbours_and_map(estimate: Estimate, drive: Drive, k: int, ratio: float) -> Estimate:
+@dataclass(frozen=True)
+class Reception:
+    """What is received of the neighbours."""
+
+    count: int = 6  # of them, the nearest lanes first
+    position_sd: float = scenario.NEIGHBOUR_SD  # [m] of their published positions
+    latency_s: float = 0.0  # age of a published position and velocity; the frequency is measured on arrival
+    penetration: float = 1.0  # probability that a neighbour has a radio, for each run
+
+
+EVERYTHING = Reception()
+NOT_RECEIVED_SD = 1e6  # [m/s] of the range-rate of a neighbour that is not received
+
+
+def received(drive: Drive, reception: Reception) -> BoolArray:
+    """Which neighbours each run receives, shape (runs, 6); a run keeps its own when the penetration grows."""
+    m = drive.rate_noise.shape[-1]
+    draws = np.random.default_rng(7).random((len(drive.start), m))
+    found: BoolArray = (draws < reception.penetration) & (np.arange(m) < reception.count)
+    return found
+
+
+def with_neighbours_and_map(
+    estimate: Estimate, drive: Drive, k: int, ratio: float, reception: Reception = EVERYTHING
+) -> Estimate:
     """Predict to epoch k (1 to 90) and correct by range-rates and map; leading axes (runs, ...)."""
     settings, t = forward_settings(), float(k)
     estimate = predict(estimate, 1.0, settings)
@@ -106,20 +130,27 @@ def with_neighbours_and_map(estimate: Estimate, drive: Drive, k: int, ratio: flo
     sd = scenario.RATE_SD * ratio
     runs = len(drive.start)
     axes = (runs, *[1] * (estimate.x.ndim - 2))
-    m = len(others)
+    m, stated = (
+        len(others),
+        scenario.neighbours(t - reception.latency_s) if reception.latency_s else (others, velocities),
+    )
+    noise = reception.position_sd / scenario.NEIGHBOUR_SD * drive.neighbour_noise[k - 1]
+    seen = received(drive, reception).reshape(*axes, m)
     reports = Neighbours(
-        (others + drive.neighbour_noise[k - 1]).reshape(*axes, m, 3),
-        velocities,
+        (stated[0] + noise).reshape(*axes, m, 3),
+        stated[1],
         (true_rate + sd * drive.rate_noise[k - 1]).reshape(*axes, m),
-        np.full(m, scenario.NEIGHBOUR_SD),
-        np.full(m, sd),
+        np.full(m, reception.position_sd),
+        np.where(seen, sd, NOT_RECEIVED_SD) if reception is not EVERYTHING else np.full(m, sd),
     )
     estimate = correct_range_rates(estimate, reports)
     sds = np.array([settings.cross_track_sd, settings.height_sd, settings.lateral_speed_sd])
     return correct_road(estimate, scenario.road(), settings, (sds * drive.map_noise[k - 1]).reshape(*axes, 3))
 
 
-def open_loop(drive: Drive, ratio: float, false_alarm_rate: float = 1e-5) -> tuple[Rates, FloatArray]:
+def open_loop(
+    drive: Drive, ratio: float, false_alarm_rate: float = 1e-5, reception: Reception = EVERYTHING
+) -> tuple[Rates, FloatArray]:
     """The paper's test against an estimate from neighbours and map alone, clock calibrated.
 
     Returns
@@ -130,7 +161,7 @@ def open_loop(drive: Drive, ratio: float, false_alarm_rate: float = 1e-5) -> tup
     estimate = start_estimate(drive)
     errors = []
     for k in range(1, scenario.EPOCHS + 1):
-        estimate = with_neighbours_and_map(estimate, drive, k, ratio)
+        estimate = with_neighbours_and_map(estimate, drive, k, ratio, reception)
         errors.append(estimate.x[:, POSITION] - scenario.vehicle(float(k))[0])
     error = np.array(errors)
     return structure_test(drive, error, np.broadcast_to(drive.clock, error.shape[:2]), false_alarm_rate), error

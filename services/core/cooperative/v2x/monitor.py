@@ -42,10 +42,12 @@ from .forward import (
     predict,
 )
 from .neighbours import NeighbourReport, NeighbourTest, unusable
+from .oscillators import SenderOscillators
 from .road import Road
 
 CLOCKS = {Constellation.GPS: 0, Constellation.GALILEO: 1}
 MAX_NEIGHBOURS = 32  # the nearest ones are used
+MIN_DISTANCE = 5.0  # [m] of a neighbour whose direction is known
 MAX_VIRTUAL = 9  # candidates, the lowest: 126 sets of 5 are compared
 
 
@@ -68,6 +70,7 @@ class CooperativeSettings:
     start_sd_m: float = 30.0  # of position and clocks: the start was solved with the satellites under test
     clock_jump_m: float = 1000.0  # innovation that all satellites have in common
     farthest_from_origin_m: float = 50_000.0
+    learn_oscillators: bool = False  # of neighbours that publish no offset
 
 
 class CooperativeMonitor:
@@ -80,6 +83,7 @@ class CooperativeMonitor:
         self._neighbour_test = NeighbourTest(
             bank.false_alarm_rate, bank.readmission_epochs, bank.readmission_t, self._settings.forget_after_s
         )
+        self._oscillators = SenderOscillators()
         self._satellites: tuple[SatelliteId, ...] = ()
         self._seen_ns: dict[SatelliteId, int] = {}
         self._time_ns = 0
@@ -97,6 +101,7 @@ class CooperativeMonitor:
         """Forget the filters, and whom they have excluded: the next epoch needs a start."""
         self._bank = None
         self._neighbour_test.clear()
+        self._oscillators.clear()
 
     def exclude(self, satellites: frozenset[SatelliteId]) -> None:
         """Exclude satellites that another test has found in the epoch that was evaluated last."""
@@ -225,10 +230,13 @@ class CooperativeMonitor:
         own, own_velocity = estimate.x[-1, POSITION], estimate.x[-1, VELOCITY]
         own_sd = sqrt(float(np.linalg.eigvalsh(estimate.P[-1, :2, :2])[-1]))
         usable = []
-        for report in reports:
+        for published in reports:
+            report = published
             position = self._ned_from_ecef @ (np.array(report.position_e) - self._origin_e)
             velocity = self._ned_from_ecef @ np.array(report.velocity_e)
             distance, speed = float(np.linalg.norm((position - own)[:2])), float(np.linalg.norm(velocity))
+            if self._settings.learn_oscillators and report.oscillator_offset is None:
+                report = self._with_oscillator(report, position - own, velocity - own_velocity, estimate)
             reason = unusable(report, distance, speed, float(np.linalg.norm(velocity - own_velocity)), own_sd)
             if reason is not None:
                 rejected[reason] = rejected.get(reason, 0) + 1
@@ -245,6 +253,30 @@ class CooperativeMonitor:
             return (), None
         _, names, *columns = zip(*usable[:MAX_NEIGHBOURS], strict=True)
         return tuple(names), Neighbours(*(np.array(column, dtype=np.float64) for column in columns))
+
+    def _with_oscillator(
+        self, report: NeighbourReport, away: FloatArray, relative: FloatArray, estimate: Estimate
+    ) -> NeighbourReport:
+        """A report with the offset that earlier messages of its sender have, and learn from it; as it is without one.
+
+        What is left of that offset adds to the noise of the frequency.
+        """
+        distance, cfo_hz, velocity_sd = float(np.linalg.norm(away)), report.cfo_hz, report.velocity_sd_m_s
+        if cfo_hz is None or report.cfo_sd_hz is None or velocity_sd is None or not distance > MIN_DISTANCE:
+            return report
+        if abs(cfo_hz) > 2.0 * MAX_OFFSET * CARRIER_FREQUENCY:
+            return report
+        time_ns = self._time_ns if report.gps_time_ns is None else report.gps_time_ns
+        known = self._oscillators.known(report.name, time_ns)
+        per_hz = SPEED_OF_LIGHT / CARRIER_FREQUENCY
+        own_sd = sqrt(float(np.linalg.eigvalsh(estimate.P[-1, VELOCITY, VELOCITY])[-1]))
+        offset = per_hz * cfo_hz + float(relative @ away) / distance + float(estimate.x[-1, OSCILLATOR])
+        self._oscillators.learn(report.name, time_ns, offset, float(np.hypot(per_hz * report.cfo_sd_hz, velocity_sd)),
+                                own_sd)  # fmt: skip
+        if known is None:
+            return report
+        cfo_sd_hz = float(np.hypot(report.cfo_sd_hz, known.sd / per_hz))
+        return replace(report, oscillator_offset=known.value / SPEED_OF_LIGHT, cfo_sd_hz=cfo_sd_hz)
 
     def _above_mask(
         self, sky: Sky, estimate: Estimate, rejected: dict[str, int]

@@ -12,6 +12,7 @@ from ..integrity.error_monitor import NO_BLOCK, ErrorMonitor, block
 from ..integrity.undetected_shift import UndetectedShift
 from ..settings import Settings
 from .base import Measurement, Outcome
+from .carrier.aid import AntennaDisplacement, CarrierPath
 from .gate import REJECTED, Gate
 from .gnss.comparison import Comparison
 from .gnss.correlated import position_errors_of
@@ -59,6 +60,7 @@ class Aids:
         self._zeros = ZeroSpeeds()  # of the odometer in use
         self._compass = CompassCheck()
         self._epochs = Epochs()
+        self._carrier = CarrierPath()
         self._delays: tuple[float, float] | None = None  # [s] of GNSS, found: for later filters
 
     def copy(self) -> "Aids":
@@ -72,6 +74,7 @@ class Aids:
         if self._delays is not None:
             started.correct_delay(*self._delays, moved=False)  # it starts at a place that a corrected fix has given
         self.gate.restart(comparison)
+        self._carrier = CarrierPath()
         self.error_monitor = self.error_monitor.restarted(time_ns, started)
 
     def use_delay(self, corrected: tuple[float, float], left_s: float) -> None:
@@ -103,6 +106,11 @@ class Aids:
         if isinstance(measurement, MagneticHeading):
             self._compass = self._compass.judged(measurement, navigation)
             measurement = replace(measurement, check=self._compass)
+        if isinstance(measurement, GnssVelocity) and self._carrier.carries(measurement.time_ns):
+            return
+        if isinstance(measurement, AntennaDisplacement):
+            yield from self._use_displacement(navigation, measurement.after(self._carrier))
+            return
         gating = self._settings.gating
         for observe in measurement.observers():
             before = block(navigation) if isinstance(measurement, GnssPosition) else NO_BLOCK
@@ -129,6 +137,15 @@ class Aids:
             yield outcome
             if isinstance(measurement, GnssPosition | GnssVelocity) and outcome.used:
                 measurement.update_statistics(navigation, outcome.innovation)
+
+    def _use_displacement(self, navigation: ErrorStateFilter, measurement: AntennaDisplacement) -> Iterator[Outcome]:
+        """Use a displacement along its path."""
+        used = False
+        for observe in measurement.observers():
+            outcome = self.gate.use(navigation, measurement, observe(navigation))
+            used = outcome.used
+            yield outcome
+        self._carrier = measurement.path_after(navigation, used=used)
 
     def test_only(self, navigation: ErrorStateFilter, measurement: Measurement, reason: str) -> Iterator[Outcome]:
         """Compare a measurement of an excluded source with the filter; the state does not change."""

@@ -17,12 +17,13 @@ from shared.messages.base import Message
 from ..settings import Settings
 from .barometer import aid as barometer
 from .base import Measurement
+from .carrier import aid as carrier
 from .dual_antenna import aid as dual_antenna
 from .gnss import aid as gnss
 from .magnetometer import aid as magnetometer
 from .odometer import aid as odometer
 
-AIDS = gnss, odometer, barometer, magnetometer, dual_antenna
+AIDS = gnss, odometer, barometer, magnetometer, dual_antenna, carrier
 Converter = Callable[[Any, Settings], Iterable[Measurement]]
 
 

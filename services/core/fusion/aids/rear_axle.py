@@ -47,7 +47,7 @@ def rear_axle(
     Returns
     -------
     tuple of ndarray
-        [m/s] M u, shape (3,), with u = C^T v + w x l; and H, shape (3, 31), rows forward, right, down.
+        [m/s] M u, shape (3,), with u = C^T v + w x l; and H, shape (3, 37), rows forward, right, down.
 
     Notes
     -----

@@ -71,7 +71,7 @@ def system_matrix(
 
     Returns
     -------
-    ndarray, shape (31, 31)
+    ndarray, shape (37, 37)
         [1/s and mixed]
 
     Notes
@@ -180,13 +180,13 @@ def system_matrix(
 
 
 def transition_matrix(Ft: FloatArray, decay: FloatArray) -> FloatArray:
-    """Transition matrix Phi, shape (31, 31), of a short step: I + F t, but for time-correlated errors, which decay.
+    """Transition matrix Phi, shape (37, 37), of a short step: I + F t, but for time-correlated errors, which decay.
 
     Parameters
     ----------
     Ft : ndarray, shape (9, 21)
         Nonzero block of F t.
-    decay : ndarray, shape (31,)
+    decay : ndarray, shape (37,)
         [-] exp(-t/T) of each error, exact for any step where no other error acts on it; 1 of one that does not decay.
     """
     Phi = np.diag(decay)
@@ -200,16 +200,16 @@ def predicted(P: FloatArray, Ft: FloatArray, decay: FloatArray, Q: FloatArray) -
 
     Parameters
     ----------
-    P : ndarray, shape (31, 31)
+    P : ndarray, shape (37, 37)
         Covariance before.
     Ft, decay
         Of `transition_matrix`.
-    Q : ndarray, shape (31,)
+    Q : ndarray, shape (37,)
         Diagonal of the covariance of the noise.
 
     Returns
     -------
-    ndarray, shape (31, 31)
+    ndarray, shape (37, 37)
         Exactly symmetric.
     """
     after = P.copy()
@@ -232,7 +232,7 @@ def process_noise_psd(*densities: tuple[int | slice | npt.NDArray[np.intp], floa
 
     Returns
     -------
-    ndarray, shape (31,)
+    ndarray, shape (37,)
         Diagonal of the matrix; times a short step it is the covariance that the step adds.
 
     References
@@ -248,9 +248,9 @@ def process_noise_psd(*densities: tuple[int | slice | npt.NDArray[np.intp], floa
 class ProcessNoise(NamedTuple):
     """Noise that drives the errors of one filter."""
 
-    psd: FloatArray  # [unit²/s] shape (31,): see `process_noise_psd`
-    correlation_s: FloatArray  # [s] shape (31,), time T of each Gauss-Markov process; infinite of all other errors
-    variance: FloatArray  # [unit²] shape (31,), s² of each Gauss-Markov process; zero of all other errors
+    psd: FloatArray  # [unit²/s] shape (37,): see `process_noise_psd`
+    correlation_s: FloatArray  # [s] shape (37,), time T of each Gauss-Markov process; infinite of all other errors
+    variance: FloatArray  # [unit²] shape (37,), s² of each Gauss-Markov process; zero of all other errors
     vibration_factor: float  # [-] on the measured vibration PSD
 
 
@@ -272,7 +272,7 @@ def process_noise(
     Returns
     -------
     tuple of ndarray
-        [unit²], shape (31,); [-], shape (31,).
+        [unit²], shape (37,); [-], shape (31,).
 
     Notes
     -----
@@ -309,7 +309,7 @@ def propagated(  # noqa: PLR0913, PLR0917  # compiled code takes numbers and arr
 
     Parameters
     ----------
-    P : ndarray, shape (31, 31)
+    P : ndarray, shape (37, 37)
         Covariance before.
     quaternion, velocity, position, earth
         At the end of the step: see `system_matrix`.
@@ -321,7 +321,7 @@ def propagated(  # noqa: PLR0913, PLR0917  # compiled code takes numbers and arr
     Returns
     -------
     tuple of ndarray
-        P, shape (31, 31), the block F t, shape (9, 21), and the decays, shape (31,).
+        P, shape (37, 37), the block F t, shape (9, 21), and the decays, shape (37,).
     """
     (vn, ve, vd), (rx, ry, rz), per_s = velocity_gain_n, rotation_b, 1.0 / step_s
     force_n, rate_b = (vn * per_s, ve * per_s, vd * per_s), (rx * per_s, ry * per_s, rz * per_s)

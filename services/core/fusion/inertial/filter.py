@@ -103,7 +103,7 @@ class FixDelay(NamedTuple):
 
 
 class ErrorStateFilter:
-    """The state, and the covariance of its 31 errors; estimated errors are subtracted from the state at once.
+    """The state, and the covariance of its 37 errors; estimated errors are subtracted from the state at once.
 
     A state that is not estimated has neither variance nor noise, and keeps its value. Nothing is changed in place, so
     that `copy.copy` gives an independent filter.
@@ -114,7 +114,7 @@ class ErrorStateFilter:
         Noise densities and initial standard deviations.
     inertial : InertialState
         Attitude, velocity and position at the start.
-    P : ndarray, shape (31, 31)
+    P : ndarray, shape (37, 37)
         Covariance at the start, in the order of `error_model`.
     imu : ImuErrors
         Estimated biases and scale factors at the start.
@@ -388,7 +388,7 @@ class ErrorStateFilter:
             self.recorder.record_correction(self.time_ns, correction)
 
     def subtract_errors(self, errors: FloatArray, P: FloatArray) -> None:
-        """Subtract errors x, shape (31,), from the state, true = estimated - x, and set the covariance P after it."""
+        """Subtract errors x, shape (37,), from the state, true = estimated - x, and set the covariance P after it."""
         self.take(subtracted(self.row, errors, P))
         self._check()
 

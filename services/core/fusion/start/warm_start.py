@@ -108,7 +108,7 @@ def fault(saved: SavedState, time_ns: int) -> str | None:
 
 
 def covariance_of(saved: SavedState) -> FloatArray:
-    """Covariance of a saved state, shape (31, 31)."""
+    """Covariance of a saved state, shape (37, 37)."""
     P = np.zeros((em.SIZE, em.SIZE))
     P[UPPER] = saved.covariance
     return P + np.triu(P, 1).T
@@ -181,7 +181,7 @@ def restored(settings: Settings, saved: SavedState, sample: Sample) -> ErrorStat
 
 
 def unmeasured_motion(velocity: Vector, span_s: float) -> FloatArray:
-    """Covariance added over a time [s] without samples, shape (31, 31).
+    """Covariance added over a time [s] without samples, shape (37, 37).
 
     Notes
     -----

@@ -44,7 +44,7 @@ _KIND_UNITS = {  # of the innovations of each kind, which tests/unit hold to be 
     AidingKind.GNSS_POSITION: "m", AidingKind.GNSS_VELOCITY: "m/s", AidingKind.ZERO_VELOCITY: "m/s",
     AidingKind.ZERO_ANGULAR_RATE: "rad/s", AidingKind.ODOMETER: "m/s", AidingKind.NON_HOLONOMIC: "m/s",
     AidingKind.BAROMETRIC_HEIGHT: "m", AidingKind.BASELINE_HEADING: "rad", AidingKind.MAGNETIC_HEADING: "rad",
-    AidingKind.EXTERNAL: "",
+    AidingKind.CARRIER_DISPLACEMENT: "m", AidingKind.EXTERNAL: "",
 }  # fmt: skip
 _AXES = {"ned": ("north", "east", "down"), "body": ("forward", "right", "down")}
 

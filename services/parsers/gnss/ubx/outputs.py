@@ -18,23 +18,25 @@ MESSAGES = {
     GnssOutput.SIGNALS: ("NAV-SIG",),
     GnssOutput.INERTIAL: ("ESF-RAW",),
     GnssOutput.WHEEL_TICKS: ("ESF-MEAS",),
+    GnssOutput.LEVELS: ("NAV-PL",),
 }
 REQUIRED = frozenset(("NAV-PVT", "NAV-EOE", "NAV-DOP", "NAV-COV", "NAV-SAT"))  # asked for together, in one setting
 ONCE_A_SECOND = frozenset(
-    ("RXM-RAWX", "NAV-STATUS", "NAV-CLOCK", "MON-RF", "SEC-SIG", "NAV-SIG")
+    ("RXM-RAWX", "NAV-STATUS", "NAV-CLOCK", "MON-RF", "SEC-SIG", "NAV-SIG", "NAV-PL")
 )  # whatever the navigation period
 SATELLITES, SIGNALS = 32, 56  # in view of a receiver of two bands
 # [bytes] of a frame in each epoch in which it is sent. u-blox F9 HPG 1.32 (UBX-22008968), section 3.
 EPOCH_BYTES = {
     "NAV-PVT": 100, "NAV-EOE": 12, "NAV-COV": 72, "NAV-DOP": 26, "NAV-STATUS": 24, "MON-RF": 60, "SEC-SIG": 20,
     "NAV-CLOCK": 28, "NAV-SAT": 16 + 12 * SATELLITES, "RXM-RAWX": 24 + 32 * SIGNALS, "NAV-SIG": 16 + 16 * SIGNALS,
+    "NAV-PL": 60,
 }  # fmt: skip
 # [bytes/s] of what is not sent by epochs: 20 subframes of 60 bytes; wheel ticks at 10 Hz; 100 samples of 7 sensors.
 STEADY_BYTES_S = {"RXM-SFRBX": 1200, "ESF-MEAS": 400, "ESF-RAW": 6000}
 # In the order in which they are left out of a port that is too slow, the last one first; the fix is never left out.
 BY_IMPORTANCE = (
     "NAV-COV", "NAV-DOP", "NAV-STATUS", "MON-RF", "SEC-SIG", "NAV-CLOCK", "ESF-MEAS", "NAV-SAT", "RXM-RAWX",
-    "RXM-SFRBX", "NAV-SIG", "ESF-RAW",
+    "RXM-SFRBX", "NAV-PL", "NAV-SIG", "ESF-RAW",
 )  # fmt: skip
 BITS = 10  # of a byte at a serial port, with start and stop bit
 PORT_SHARE = 0.7  # of a port for these messages: NMEA, which stays switched on, needs the rest

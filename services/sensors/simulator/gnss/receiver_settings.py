@@ -6,6 +6,7 @@ Source: u-blox F9 HPG 1.32 interface description (UBX-22008968), UBX-CFG-VALSET,
 import struct
 from collections.abc import Iterator
 
+from shared.messages.gnss import GnssStart
 from shared.protocols.framing.framer import Framer
 from shared.protocols.registry import BY_NAME
 from shared.protocols.ubx import ubx_frame
@@ -44,6 +45,7 @@ LIMITS = {
     ELEVATION_MASK: (0, 90),
 }
 RAM, DEFAULTS = 0, 7  # layers of VALGET
+RST, EPHEMERIDES = 0x04, 0x0001  # UBX-CFG-RST, and the bit of its mask
 
 
 class Settings:
@@ -56,6 +58,7 @@ class Settings:
             self._values.update({key + port: int(sent and port == OUR_PORT) for port in range(PORTS)})
         self._defaults = dict(self._values)
         self._framer = Framer((BY_NAME["UBX"].framing,))
+        self.restart: GnssStart | None = None  # that was asked for and has not begun
 
     @property
     def period_ms(self) -> int:
@@ -78,6 +81,8 @@ class Settings:
     def _respond(self, message_class: int, message_id: int, payload: bytes) -> Iterator[bytes]:
         if (message_class, message_id) == (MON, 0x04) and not payload:
             yield mon_ver()
+        elif (message_class, message_id) == (CFG, RST) and len(payload) == 4:
+            self.restart = _start_of(int.from_bytes(payload[:2], "little"))
         elif (message_class, message_id) == (CFG, VALSET):
             yield acknowledge(CFG, VALSET, accepted=self._set(payload))
         elif (message_class, message_id) == (CFG, VALGET):
@@ -107,6 +112,13 @@ class Settings:
     def _allowed(self, key: int, value: int) -> bool:
         low, high = LIMITS.get(key, (0, 255))
         return key in self._values and low <= value <= high
+
+
+def _start_of(cleared: int) -> GnssStart:
+    """Start by what UBX-CFG-RST clears: all, the ephemerides, or nothing."""
+    if cleared & ~EPHEMERIDES:
+        return GnssStart.COLD
+    return GnssStart.WARM if cleared else GnssStart.HOT
 
 
 def _read_values(payload: bytes) -> dict[int, int] | None:

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
+from shared.messages.gnss import GnssStart
 
 from ..scenarios import Scenario
 from ..vehicle import AntennaState, Stream, Vector
@@ -14,8 +15,22 @@ from .gnss_errors import BASE_SD, VELOCITY_SD, PositionErrors, position_errors, 
 FloatArray = npt.NDArray[np.float64]
 
 SETTLING_TIME_S = 15.0  # [s] initial standstill for the alignment; excluded from an exact RMSE
+ZERO = (0.0, 0.0, 0.0)
+HELD_SD_M_S = 2.0  # by which a receiver that holds its velocity states less and less of its position
 REACQUISITION_S = 2.0  # [s] from the end of an outage to the first fix
 AMBIGUITIES_S = (("none", 8.0), ("float", 25.0))  # [s] after an outage, the time at which each state ends
+
+
+def search_s(start: GnssStart, rng: np.random.Generator) -> float:
+    """Time [s] from a restart to the first fix, as a receiver under open sky needs it; an assumption.
+
+    A hot start has all it needs once it tracks. Otherwise the three subframes of an ephemeris, of the five of 6 s that
+    repeat, take 18 s from the beginning of one that comes within 12 s. A cold start finds the signals first.
+    """
+    if start is GnssStart.HOT:
+        return float(rng.uniform(REACQUISITION_S, REACQUISITION_S + 1.0))
+    found_s = float(rng.uniform(2.0, 6.0) if start is GnssStart.COLD else rng.uniform(1.0, 2.0))
+    return found_s + float(rng.uniform(0.0, 12.0)) + 18.0
 
 
 @dataclass(frozen=True)
@@ -41,6 +56,8 @@ class Reception:
         self._errors: PositionErrors | None = None
         self._open_s = float("inf")  # time since the end of the last outage
         self._last = scenario.start
+        self._velocity: Vector | None = None  # of the last valid epoch
+        self._covered_s = 0.0
 
     def fix(self, epoch: int, antenna: AntennaState) -> Fix:
         """Compute the fix of an epoch.
@@ -60,15 +77,28 @@ class Reception:
         period, index = divmod(epoch, self._epochs)
         errors = self._errors_of(period)
         self._open_s = 0.0 if antenna.covered else self._open_s + self._step
+        if self._open_s < REACQUISITION_S and self._scenario.hold_s and self._velocity is not None:
+            return self._held()
         if self._open_s < REACQUISITION_S:
-            lost = (0.0, 0.0, 0.0)
-            return Fix(False, "none", self._last, lost, lost, (4000.0, 4000.0, 4000.0), (20.0, 20.0, 20.0))
+            return Fix(False, "none", self._last, ZERO, ZERO, (4000.0, 4000.0, 4000.0), (20.0, 20.0, 20.0))
+        self._covered_s = 0.0
         carrier = self._carrier()
         error_n = _vector(errors.noise[index] * BASE_SD[carrier] + errors.injected[index])
         self._last = geodetic_from_ned_difference(error_n, antenna.position)
         velocity_n = _vector(antenna.velocity_n + errors.velocity[index])
+        self._velocity = velocity_n
         sd = _vector(position_sd(self._scenario.error, carrier))
         return Fix(True, carrier, self._last, velocity_n, error_n, sd, VELOCITY_SD)
+
+    def _held(self) -> Fix:
+        """Fix without signals, which the receiver calls valid: its last velocity, then standstill where it was."""
+        self._covered_s += self._step
+        assert self._velocity is not None
+        velocity_n = self._velocity if self._covered_s <= self._scenario.hold_s else ZERO
+        north, east, down = (self._step * component for component in velocity_n)
+        self._last = geodetic_from_ned_difference((north, east, down), self._last)
+        grown = HELD_SD_M_S * self._covered_s
+        return Fix(True, "none", self._last, velocity_n, ZERO, (grown, grown, grown), VELOCITY_SD)
 
     def _carrier(self) -> str:
         """Ambiguity state: it restarts after each outage and improves up to the best state of the scenario."""

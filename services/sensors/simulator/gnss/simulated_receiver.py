@@ -19,7 +19,7 @@ from . import nmea_encoder, ubx_encoder
 from .navigation_words import galileo_words, gps_words
 from .raw_measurements import IONOSPHERE, Phases, RangeErrors, measure
 from .receiver_settings import Settings
-from .reception import Fix, Reception
+from .reception import REACQUISITION_S, Fix, Reception, search_s
 from .simulated_epoch import Baseline, Epoch, SentWords, gps_ms, signal_under
 from .sky import MIN_SATELLITES, FloatArray, Sky, SkyModel, dilution
 
@@ -65,6 +65,8 @@ class Receiver:
         self._fix: Fix | None = None  # of the last epoch
         self._faulty: dict[int, npt.NDArray[np.intp]] = {}  # satellites of each fault
         self._left: npt.NDArray[np.intp] | None = None  # satellites while few are left
+        self._searches = np.random.default_rng((seed, Stream.SATELLITES, 4))
+        self._search_until_ms = 0  # after a restart, on its clock
 
     @property
     def next_epoch_ns(self) -> int:
@@ -94,7 +96,7 @@ class Receiver:
             gps_s, source.position, mask_deg=self._scenario.mask_deg, loss_db=loss_db, covered=source.covered
         )
         sky = self._few(sky, signals.satellites_left)
-        covered = source.covered or bool(sky.used.sum() < MIN_SATELLITES)
+        covered = source.covered or bool(sky.used.sum() < MIN_SATELLITES) or utc_ms < self._search_until_ms
         true_fix = self._reception.fix(index, replace(source, covered=covered))
         errors, rates = self._faults(signals.faults, sky)
         phases = Phases(source.position, self._phase_noise.standard_normal(len(sky.satellite)))
@@ -179,6 +181,10 @@ class Receiver:
     def write(self, data: bytes, now_ns: int) -> Iterator[tuple[int, Message]]:
         """Yield (arrival time, message) of the receiver's responses to written bytes."""
         response = b"".join(self.settings.feed(data))
+        if (start := self.settings.restart) is not None:
+            self.settings.restart = None
+            searched_s = search_s(start, self._searches) - REACQUISITION_S
+            self._search_until_ms = self._next_ms - self._period_ms + round(1000.0 * searched_s)
         if response:
             yield from self._send(response, now_ns + RESPONSE_NS, len(response))
 

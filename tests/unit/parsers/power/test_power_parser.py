@@ -194,3 +194,29 @@ def test_moments_of_battery_on_mains_are_no_empty_battery() -> None:
 def test_a_battery_without_a_span_is_a_wrong_configuration() -> None:
     with pytest.raises(ValidationError, match="full_v must be above empty_v"):
         Config(empty_v=8.0, full_v=8.0)
+
+
+def test_consumption_and_autonomy_are_those_of_the_battery_that_empties() -> None:
+    """0.5 A at 8 V down to 7 V; the charge falls linearly, to 10 % after a stated time."""
+    run = Run()
+    state = run.read(ina219(8.4, 0.2), 130)
+    assert state.consumption_w is None and state.autonomy_s is None
+    for second in range(1200):
+        state = run.read(ina219(8.4 - 2.4 * second / 6000.0, -0.5))
+    assert state.consumption_w == pytest.approx(0.5 * (8.4 - 2.4 * 1199 / 6000.0), abs=0.01)
+    assert state.autonomy_s == pytest.approx(0.9 * 6000.0 - 1199.0, rel=0.03)
+    assert run.read(ina219(8.0, 0.2), 5).autonomy_s is None
+
+
+def test_a_battery_that_lasts_less_than_is_wanted_counts_as_nearly_empty() -> None:
+    lows = {}
+    for wanted_s in (0.0, 3600.0):
+        run = Run(Config(low_autonomy_s=wanted_s))
+        run.read(ina219(8.4, 0.2), 130)
+        for second in range(3000):
+            state = run.read(ina219(8.4 - 2.4 * second / 6000.0, -0.5))
+            if state.low:
+                break
+        lows[wanted_s] = second
+    assert lows[0.0] == 2999, "half of the charge is left"
+    assert 5400 - 3600 < lows[3600.0] < 5400 - 3600 + 60

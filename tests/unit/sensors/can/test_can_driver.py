@@ -3,7 +3,7 @@ import time
 import can
 import pytest
 
-from services.sensors.can.process import Config, Process
+from services.sensors.can.process import NS, Config, Process, next_request_ns
 from shared.errors import UserError
 from shared.messages.vehicle import CanRaw
 from tests.support.bus.live_bus import eventually, running
@@ -46,6 +46,20 @@ def test_the_driver_requests_the_speed_with_the_configured_period() -> None:
             requests.append((frame.arbitration_id, bytes(frame.data)))
         assert time.monotonic() - started_s >= 0.3
     assert set(requests) == {(0x7DF, bytes.fromhex("02010D0000000000"))}
+
+
+def test_requests_are_at_the_stamps_of_gnss_and_whole_periods_away() -> None:
+    period_ns, fix_ns = NS // 2, 100 * NS + 137_000_000
+    at_ns = next_request_ns(fix_ns + 40_000_000, period_ns, fix_ns)
+    assert (at_ns - fix_ns) % period_ns == 0 and at_ns - fix_ns == NS // 2
+    for late_ns in (0, 60_000_000, 99_000_000):  # a loop that looks ten times a second
+        at_ns = next_request_ns(at_ns + late_ns, period_ns, fix_ns)
+        assert (at_ns - fix_ns) % period_ns == 0
+    assert (at_ns - fix_ns) == 2 * NS, "one request in each period"
+    early_ns = fix_ns + 400_000_000
+    assert next_request_ns(early_ns, period_ns, fix_ns) == fix_ns + NS, "no two requests within half a period"
+    assert next_request_ns(early_ns, period_ns, None) == early_ns + period_ns
+    assert next_request_ns(fix_ns + 9 * NS, period_ns, fix_ns) == fix_ns + 9 * NS + period_ns, "no fixes any more"
 
 
 def test_an_invalid_device_url_is_rejected_at_the_start() -> None:

@@ -241,6 +241,23 @@ def test_nav_pvt_has_no_fix_in_a_tunnel() -> None:
     assert all(p.numSV == 0 for p in pvts if not p.fixType)
 
 
+def test_a_receiver_that_holds_its_speed_in_a_tunnel_states_it_for_10_s_and_then_zero() -> None:
+    def speeds(scenario: str) -> dict[int, tuple[bool, float, int]]:
+        found = [p for _, p in frames(messages(scenario, 1, 130.0)) if p.identity == "NAV-PVT"]
+        return {p.iTOW // 1000: (bool(p.gnssFixOk), p.gSpeed / 1000.0, p.numSV) for p in found}
+
+    usual, held = speeds("tunnel"), speeds("tunnel-hold")
+    lost = [second for second, (valid, _, _) in usual.items() if not valid]
+    first = next(
+        second for second in lost if second - 1 in usual and usual[second - 1][0] and usual[second - 1][1] > 5.0
+    )
+    before, inside = held[first - 1][1], [held[second] for second in lost if first <= second < first + 16]
+    assert all(valid and satellites == 0 for valid, _, satellites in inside)
+    assert [speed for _, speed, _ in inside[:10]] == [pytest.approx(before, abs=1e-3)] * 10
+    assert len(inside) > 11 and {speed for _, speed, _ in inside[10:]} == {0.0}
+    assert usual[first - 1] == held[first - 1], "the same before the tunnel"
+
+
 def test_the_origin_states_a_simulation_every_2_s(minute: list[Message]) -> None:
     origins = [message for message in minute if isinstance(message, Origin)]
     assert {(o.kind, o.name, o.seed, o.speed) for o in origins} == {(OriginKind.SIMULATED, "parking_lot", 1, 1.0)}

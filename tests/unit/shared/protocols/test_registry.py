@@ -59,7 +59,7 @@ def test_headers_begin_as_the_registry_says(protocol: Protocol) -> None:
 
 def test_every_protocol_is_read_somewhere_or_says_what_to_switch_on() -> None:
     assert all(protocol.read_at or protocol.remedy for protocol in PROTOCOLS)
-    assert (read_at("gnss"), read_at("imu")) == (("UBX", "NMEA"), ("Xbus", "text lines"))
+    assert (read_at("gnss"), read_at("imu")) == (("UBX", "NMEA", "GnssLogger"), ("Xbus", "text lines"))
 
 
 def test_the_table_has_no_reason_twice() -> None:

@@ -28,7 +28,7 @@ def _swing(quaternion: Quaternion, latitude: float, rate: Vector, lever_arm: Vec
 
 
 def antenna_position_matrix(arm_n: Vector) -> FloatArray:
-    """Matrix H, shape (3, 31), of GNSS minus predicted antenna position [m, NED], for the arm C l [m, NED]."""
+    """Matrix H, shape (3, 37), of GNSS minus predicted antenna position [m, NED], for the arm C l [m, NED]."""
     H = np.zeros((3, em.SIZE))
     H[:, em.ATTITUDE] = skew(arm_n)
     H[:, em.POSITION] = -em.UNIT
@@ -49,7 +49,7 @@ def antenna_velocity_matrix(arm_b: Vector, rate_b: Vector, ned_from_body: FloatA
 
     Returns
     -------
-    ndarray, shape (3, 31)
+    ndarray, shape (3, 37)
         The term of the Earth's rate in the prediction is neglected.
 
     Notes

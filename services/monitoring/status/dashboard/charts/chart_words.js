@@ -51,6 +51,7 @@ export const chartWords = {
     baseline_heading: "Baseline heading",
     magnetic_heading: "Magnetic heading",
     barometric_height: "Barometric height",
+    carrier_displacement: "Carrier displacement",
     external: "Added aid",
   },
   constellation: { gps: "GPS", galileo: "Galileo", glonass: "GLONASS", beidou: "BeiDou", qzss: "QZSS", sbas: "SBAS", navic: "NavIC", unknown: "Other" },

@@ -40,7 +40,7 @@ def test_the_scale_of_a_radar_is_estimated_as_a_state_of_its_own() -> None:
 
 
 def test_the_layout_of_the_unit_is_the_one_of_old_states() -> None:
-    assert LAYOUT.size == 31 and LAYOUT.blocks == (*INERTIAL, *AIDS)
+    assert LAYOUT.size == 37 and LAYOUT.blocks == (*INERTIAL, *AIDS)
     assert (LAYOUT.index("odometer_scale"), LAYOUT.place("gnss_error")) == (21, slice(24, 27))
     assert len(fingerprint(Settings())) == 16
 

@@ -1,0 +1,1 @@
+"""Aid: displacement of the antenna by carrier phases, in place of the receiver's velocity."""

@@ -1,0 +1,1 @@
+"""Lines of a phone: fixes, raw measurements, navigation words and inertial sensors."""
