@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import cached_property
 
 from shared.messages.explanation import Explanation, explain
 from shared.messages.trust import Hypothesis, Outcome
@@ -65,7 +66,6 @@ class Posterior:
     probability: float
     survives: bool
     acted_on: bool
-    why: Explanation
     since_ns: int | None = None  # suspect time
 
 
@@ -151,7 +151,7 @@ class Facts:
         """Integrity risk [-] at which fusion's levels hold."""
         return DEFAULT_RISK if self.solution is None else self.solution.risk
 
-    @property
+    @cached_property
     def surviving(self) -> tuple[Posterior, ...]:
         """Hypotheses of a fault that survive, the most probable first."""
         return tuple(
@@ -192,6 +192,16 @@ class Facts:
         An accusation by a monitor that has died is no longer one. What has been excluded on it stays excluded, because
         readmission takes statements that pass.
         """
+        return self._current[monitor]
+
+    @cached_property
+    def _current(self) -> Mapping[Monitor, Statement]:
+        """Statement of each monitor."""
+        return {monitor: self._silenced(monitor) if self.is_silent(monitor) else self.statements[monitor]
+                for monitor in Monitor}  # fmt: skip
+
+    def _silenced(self, monitor: Monitor) -> Statement:
+        """What counts of a monitor that is silent."""
         last = self.statements.get(monitor)
         if last is None:
             return Statement(
@@ -201,8 +211,6 @@ class Facts:
                 "",
                 why=explain(Code.MONITORS_MISSING, monitors=(monitor,)),
             )
-        if not self.is_silent(monitor):
-            return last
         ahead_s = (last.stated_ns - self.time_ns) / SECOND_NS
         if ahead_s > 0.0:
             why = explain(Code.MONITOR_AHEAD, monitor=monitor, ahead_s=ahead_s)

@@ -217,7 +217,7 @@ class Process:
             gnss_disturbed_since_ns=facts.disturbed_since_ns,
             odometer_excluded=facts.odometer_excluded,
             imu_excluded=facts.imu_excluded,
-            beliefs=tuple(_beliefs(facts)),
+            beliefs=tuple(_beliefs(facts, self._beliefs)),
             protection_level_horizontal_m=horizontal_m,
             protection_level_vertical_m=vertical_m,
             alert_limit_horizontal_m=facts.limits.horizontal_m,
@@ -387,14 +387,14 @@ def _held_why(state: NavigationState | None) -> tuple[Explanation, ...]:
     return (state.held_code, *(state.held_end_codes or ()))
 
 
-def _beliefs(facts: Facts) -> Iterator[Belief]:
+def _beliefs(facts: Facts, said: Beliefs) -> Iterator[Belief]:
     """Posteriors with the solutions that belong to them, as a message."""
     for belief in facts.beliefs:
-        other = facts.alternatives.get(belief.hypothesis)
+        other, why = facts.alternatives.get(belief.hypothesis), said.why(belief.hypothesis)
         yield Belief(
             hypothesis=belief.hypothesis, prior=belief.prior, probability=min(1.0, belief.probability),
             survives=belief.survives,
-            acted_on=belief.acted_on, reason=reason(belief.why), reason_code=belief.why, since_ns=belief.since_ns,
+            acted_on=belief.acted_on, reason=reason(why), reason_code=why, since_ns=belief.since_ns,
             distance_m=None if other is None else other.distance_m, level_m=None if other is None else other.level_m,
         )  # fmt: skip
 

@@ -120,7 +120,6 @@ class Beliefs:
                 share,
                 k in surviving or (k is Hypothesis.NOTHING and share > risk),
                 surviving == {k} and share > CERTAIN_PROBABILITY,
-                self._why(k),
                 self._since_ns.get(k),
             )
             for k, share in shares.items()
@@ -131,7 +130,7 @@ class Beliefs:
         said = sum(evidence.sums.get(hypothesis, 0.0) for evidence in self._evidence.values())
         return said + self._earlier.get(hypothesis, 0.0)
 
-    def _why(self, hypothesis: Hypothesis) -> Explanation:
+    def why(self, hypothesis: Hypothesis) -> Explanation:
         """Which monitors speak for it and against it."""
         if hypothesis is Hypothesis.NOTHING:
             return explain(Code.FALSE_ALARMS if self._since_ns else Code.NO_ACCUSATION)
