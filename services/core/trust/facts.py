@@ -200,6 +200,17 @@ class Facts:
         return {monitor: self._silenced(monitor) if self.is_silent(monitor) else self.statements[monitor]
                 for monitor in Monitor}  # fmt: skip
 
+    @cached_property
+    def _accusers(self) -> Mapping[Monitor, Statement]:
+        """Those of these statements that accuse."""
+        return {monitor: said for monitor, said in self._current.items() if said.outcome is Outcome.ACCUSES}
+
+    def with_decided(self, **decided: object) -> "Facts":
+        """These facts with what has been decided by them: neither time nor statements nor deadlines."""
+        made = replace(self, **decided)  # type: ignore[arg-type]  # its fields, by name
+        made.__dict__["_current"], made.__dict__["_accusers"] = self._current, self._accusers
+        return made
+
     def _silenced(self, monitor: Monitor) -> Statement:
         """What counts of a monitor that is silent."""
         last = self.statements.get(monitor)
@@ -227,9 +238,5 @@ class Facts:
 
     def accusing(self, monitors: tuple[Monitor, ...], accused: str | None = None) -> list[Statement]:
         """Statements of these monitors that accuse (somebody, or the one named)."""
-        found = (self.statement(monitor) for monitor in monitors)
-        return [
-            statement
-            for statement in found
-            if statement.outcome is Outcome.ACCUSES and (accused is None or accused in statement.accused)
-        ]
+        found = [self._accusers[monitor] for monitor in monitors if monitor in self._accusers]
+        return [statement for statement in found if accused is None or accused in statement.accused]

@@ -192,10 +192,11 @@ class Process:
         facts = self._facts(Admission(self._gnss.suspect_since_ns is not None, False, self._gnss.suspect_since_ns))
         if facts.conflict_open and (facts.excluded_test_ratio or 0.0) > AGREES:
             self._gnss.was_apart = True
-        facts = replace(facts, beliefs=self._beliefs.update(facts, self._open()), gnss_was_apart=self._gnss.was_apart)
+        beliefs = self._beliefs.update(facts, self._open())
+        facts = facts.with_decided(beliefs=beliefs, gnss_was_apart=self._gnss.was_apart)
         self._follow_alike(facts)
         facts, admission = self._admitted(facts)
-        facts = replace(facts, start_unconfirmed=self._start.unconfirmed(facts, self._navigation))
+        facts = facts.with_decided(start_unconfirmed=self._start.unconfirmed(facts, self._navigation))
         found = self._steady.after(facts)
         before = self._published
         level = found.state
@@ -305,8 +306,8 @@ class Process:
         accused = facts.acts_on(Hypothesis.ODOMETER)
         self._odometer_excluded = accused or (self._odometer_excluded and facts.survives(Hypothesis.ODOMETER))
         confirmed = self._navigation is not None and self._navigation.imu_excluded
-        facts = replace(
-            facts, conflict_open=admission.open, gnss_excluded=admission.excluded,
+        facts = facts.with_decided(
+            conflict_open=admission.open, gnss_excluded=admission.excluded,
             exclusion_confirmed=self._confirmed(admission), imu_excluded=of_imu.excluded,
             imu_exclusion_confirmed=of_imu.excluded and confirmed, odometer_excluded=self._odometer_excluded,
             disturbed_since_ns=self._after_loss.since_ns,
