@@ -193,10 +193,10 @@ class Process:
         if facts.conflict_open and (facts.excluded_test_ratio or 0.0) > AGREES:
             self._gnss.was_apart = True
         beliefs = self._beliefs.update(facts, self._open())
-        facts = facts.with_decided(beliefs=beliefs, gnss_was_apart=self._gnss.was_apart)
+        unconfirmed = self._start.unconfirmed(facts, self._navigation)
+        facts = facts.with_decided(beliefs=beliefs, gnss_was_apart=self._gnss.was_apart, start_unconfirmed=unconfirmed)
         self._follow_alike(facts)
         facts, admission = self._admitted(facts)
-        facts = facts.with_decided(start_unconfirmed=self._start.unconfirmed(facts, self._navigation))
         found = self._steady.after(facts)
         before = self._published
         level = found.state
