@@ -1,5 +1,6 @@
 """What APIs answer, as typed dictionaries: views return them, FastAPI checks, prints and describes them."""
 
+import sys
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
@@ -7,6 +8,8 @@ from fastapi import Depends, Response
 from pydantic import ConfigDict, TypeAdapter, with_config
 from typing_extensions import TypedDict
 
+# FastAPI asks of each route whether its models are those of pydantic 1, and would import it: 6 MB of each process.
+sys.modules.setdefault("pydantic.v1", None)  # type: ignore[arg-type]  # None: a name that cannot be imported
 REFERENCE = "#/components/schemas/{model}"
 Stamp = int  # [ns] on the OBU time line, which is UTC as nanoseconds since 1970
 Object = dict[str, Any]  # described by /asyncapi.json, or by no contract

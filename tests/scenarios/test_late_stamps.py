@@ -100,7 +100,7 @@ def test_a_delay_in_use_follows_the_check_and_outlives_a_filter() -> None:
     assert engine.filter is not None
     again = copy(engine.filter)
     again.late, place = None, again.position
-    engine.aids.begin(time_ns, again, engine.aids.gate.comparison)
+    engine.aids.begin(time_ns, again, engine.aids.gnss.comparison)
     assert again.late is not None and again.late.position_s == 0.5
     assert again.position == place, "a fix of the right time has given it"
     assert engine.aids.error_monitor.delay_s == 0.0

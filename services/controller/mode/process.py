@@ -8,7 +8,7 @@ from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssFix, GnssOutput, GnssReceiver, GnssReset
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import LastPosition, NavigationSolution
-from shared.messages.operation import Crossing, Mode, ModeAnswer, ModeCommand, ModeState
+from shared.messages.operation import Crossing, ModeAnswer, ModeCommand, ModeState
 from shared.messages.vehicle import VehicleSpeed
 from shared.runtime.config import Section
 
@@ -16,7 +16,7 @@ from .commands import Commands
 from .configuration_exchange import ConfigurationExchange
 from .crossing import CrossingLog
 from .last_position import LastPositionWriter
-from .unit import Unit
+from .unit import Decision, Unit
 
 Output = ModeState | ModeAnswer | GnssConfigure | GnssReset | LastPosition | Crossing
 
@@ -93,16 +93,17 @@ class Process:
     def close(self) -> Iterator[Output]:
         """Yield the last position and the mode "shutting down"."""
         yield from self._last_position.last(self._unit.utc_offset_ns)
-        yield self._unit.describe(Mode.SHUTTING_DOWN, "stop requested", self._state)
+        yield self._unit.describe(self._unit.ended("stop requested"), self._state)
 
     def _decide(self, *, at_once: bool) -> Iterator[ModeState | LastPosition]:
         configuring = next((d.configuring for d in self._exchanges.values() if d.configuring), None)
         fault = next((d.fault for d in self._exchanges.values() if d.fault), None)
-        before, state = self._state, self._unit.mode_state(self._unit.facts(configuring, fault), self._state)
-        self._state = state
-        if at_once or before is None or _essence(before) != _essence(state):
-            yield state
-        if state.power_off and not (before and before.power_off):
+        before, decision = self._state, self._unit.decided(self._unit.facts(configuring, fault))
+        if not at_once and before is not None and _is_of(before, decision):
+            return
+        self._state = self._unit.describe(decision, before)
+        yield self._state
+        if decision.power_off and not (before and before.power_off):
             yield from self._last_position.last(self._unit.utc_offset_ns)
 
     def _exchange_at(self, source: str, period_s: float) -> ConfigurationExchange:
@@ -124,5 +125,7 @@ class Process:
         )
 
 
-def _essence(state: ModeState) -> tuple[str | None, ...]:
-    return state.mode, state.gnss_source, state.imu_source, state.speed_source
+def _is_of(state: ModeState, decision: Decision) -> bool:
+    """Whether a state says the mode and the sources of a decision."""
+    sources = state.gnss_source, state.imu_source, state.speed_source
+    return state.mode is decision.mode and sources == decision.sources

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from shared.chosen import NMEA, SILENCE_TIMEOUT_NS, receiver_of
 from shared.messages.base import Message, Tick
@@ -22,6 +23,18 @@ SPEED_SILENT_S = SILENCE_TIMEOUT_NS / NS
 RECEIVER_SILENT_S = 6.0  # a statement comes every two seconds
 LISTED = 6
 POWER_SILENT_S = 5.0  # a state comes every second
+
+
+Chosen = tuple[str | None, str | None, str | None]  # names of the GNSS, inertial and speed sources in use
+
+
+class Decision(NamedTuple):
+    """Mode of the unit, the sources that it uses, and why."""
+
+    mode: Mode
+    sources: Chosen
+    reason: str
+    power_off: bool = False
 
 
 @dataclass(slots=True)
@@ -97,13 +110,20 @@ class Unit:
             has_measured=self.has_measured,
         )
 
-    def mode_state(self, facts: Facts, before: ModeState | None) -> ModeState:
+    def decided(self, facts: Facts) -> Decision:
         """Determine the mode and select the sources."""
         if reason := self.power_ends():
-            return self.describe(Mode.SHUTTING_DOWN, reason, before, power_off=True)
+            return Decision(Mode.SHUTTING_DOWN, self._chosen(), reason, power_off=True)
         mode, reason = decide(facts)
         self.has_measured |= mode is Mode.MEASURING or facts.is_gnss_only
-        return self.describe(mode, reason, before)
+        return Decision(mode, self._chosen(), reason)
+
+    def ended(self, reason: str) -> Decision:
+        """Decision of a controller that is stopped."""
+        return Decision(Mode.SHUTTING_DOWN, self._chosen(), reason)
+
+    def _chosen(self) -> Chosen:
+        return self.gnss.choose(self.now_ns), self.imu.choose(self.now_ns), self.speed.choose(self.now_ns)
 
     def power_ends(self) -> str | None:
         """Reason for which the host is to be switched off; None while it has power, or nothing is known of it."""
@@ -112,17 +132,18 @@ class Unit:
             return None
         return f"{power.source}: {power.reason}"
 
-    def describe(self, mode: Mode, reason: str, before: ModeState | None, *, power_off: bool = False) -> ModeState:
-        """Create the message of a mode; `since_ns` is kept from the previous state if the mode is unchanged."""
-        kinds = self.gnss, self.imu, self.speed
+    def describe(self, decision: Decision, before: ModeState | None) -> ModeState:
+        """Create the message of a decision; `since_ns` is kept from the previous state if the mode is unchanged."""
+        kinds, mode = (self.gnss, self.imu, self.speed), decision.mode
+        gnss, imu, speed = decision.sources
         return ModeState(
             sampled_ns=self.now_ns,
             mode=mode,
             since_ns=before.since_ns if before and before.mode is mode else self.now_ns,
-            reason=reason[:400],
-            gnss_source=self.gnss.choose(self.now_ns),
-            imu_source=self.imu.choose(self.now_ns),
-            speed_source=self.speed.choose(self.now_ns),
+            reason=decision.reason[:400],
+            gnss_source=gnss,
+            imu_source=imu,
+            speed_source=speed,
             time_to_first_fix_s=self.first_fix_s,
             sources=tuple(name for kind in kinds for name in kind.names(self.now_ns)),
             switches=tuple(
@@ -131,7 +152,7 @@ class Unit:
                     key=lambda source_switch: source_switch.sampled_ns,
                 )
             ),
-            power_off=power_off or None,
+            power_off=decision.power_off or None,
         )
 
     def search_again(self) -> None:

@@ -112,7 +112,7 @@ def hypotheses_message(navigator: Navigator) -> TrustHypotheses:
 
 def arm_error(navigator: Navigator) -> ArmError:
     """Error of the lever arm from the innovations of the filter."""
-    arm = navigator.engine.aids.gate.lever_arm
+    arm = navigator.engine.aids.gnss.lever_arm
     return ArmError(*arm.error(), arm.significant_error() is not None)
 
 

@@ -323,7 +323,7 @@ class Navigator:
     @property
     def lever_arm_error(self) -> tuple[float, float] | None:
         """True minus assumed lever arm, forward and right [m], if the difference is significant."""
-        return self.engine.aids.gate.lever_arm.significant_error()
+        return self.engine.aids.gnss.lever_arm.significant_error()
 
     def solution(self) -> Solution | None:
         """State at the newest inertial sample, or None while there is no valid one."""

@@ -3,6 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import takewhile
 from math import degrees
 from typing import NamedTuple, TypeVar
 
@@ -288,17 +289,17 @@ class InertialMonitor:
 
     def _evaluate_short(self, newest_ns: int) -> None:
         """Compare the 5 s before the newest fix."""
-        chosen = window_of_fixes(list(self._fixes))
+        chosen = window_of_fixes(self._fixes)
         if isinstance(chosen, Explanation):
             self._no_window(chosen)
             return
-        known = [s for s in self._solutions if s.sampled_ns <= chosen[0].time_ns]
-        run = [] if not known else [i for i in self._increments if i.start_ns >= known[-1].sampled_ns - MATCH_NS]
-        if not run or abs(run[0].start_ns - known[-1].sampled_ns) > MATCH_NS or run[-1].end_ns < newest_ns:
+        known = next((s for s in reversed(self._solutions) if s.sampled_ns <= chosen[0].time_ns), None)
+        run = [] if known is None else self._since(known.sampled_ns - MATCH_NS)
+        if known is None or not run or run[0].start_ns > known.sampled_ns + MATCH_NS or run[-1].end_ns < newest_ns:
             self._no_window(explain(Code.NO_START))
             return
         window = compare(
-            chosen, run, anchor_of(known[-1]), lever_arm_b=self._lever_arm, height_rate=self._heights.rate
+            chosen, run, anchor_of(known), lever_arm_b=self._lever_arm, height_rate=self._heights.rate
         )  # fmt: skip
         self.window = window
         of_positions = any(fix.of_positions for fix in chosen)  # would be compared with themselves
@@ -311,6 +312,11 @@ class InertialMonitor:
             difference = window.difference.get(metric)
             above = sigma is not None and difference is not None and abs(difference) > profile.threshold * sigma
             self._exceeded[metric] = self._exceeded[metric] + 1 if above else 0
+
+    def _since(self, time_ns: int) -> list[Increment]:
+        """Increments that start at a time or later."""
+        newest_first = takewhile(lambda increment: increment.start_ns >= time_ns, reversed(self._increments))
+        return list(newest_first)[::-1]
 
     def _evaluate_long(self) -> None:
         """Compare with the propagations, which go on over a gap of GNSS."""

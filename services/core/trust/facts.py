@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import cached_property
 
 from shared.messages.explanation import Explanation, explain
 from shared.messages.trust import Hypothesis, Outcome
@@ -65,7 +66,6 @@ class Posterior:
     probability: float
     survives: bool
     acted_on: bool
-    why: Explanation
     since_ns: int | None = None  # suspect time
 
 
@@ -151,7 +151,7 @@ class Facts:
         """Integrity risk [-] at which fusion's levels hold."""
         return DEFAULT_RISK if self.solution is None else self.solution.risk
 
-    @property
+    @cached_property
     def surviving(self) -> tuple[Posterior, ...]:
         """Hypotheses of a fault that survive, the most probable first."""
         return tuple(
@@ -192,6 +192,27 @@ class Facts:
         An accusation by a monitor that has died is no longer one. What has been excluded on it stays excluded, because
         readmission takes statements that pass.
         """
+        return self._current[monitor]
+
+    @cached_property
+    def _current(self) -> Mapping[Monitor, Statement]:
+        """Statement of each monitor."""
+        return {monitor: self._silenced(monitor) if self.is_silent(monitor) else self.statements[monitor]
+                for monitor in Monitor}  # fmt: skip
+
+    @cached_property
+    def _accusers(self) -> Mapping[Monitor, Statement]:
+        """Those of these statements that accuse."""
+        return {monitor: said for monitor, said in self._current.items() if said.outcome is Outcome.ACCUSES}
+
+    def with_decided(self, **decided: object) -> "Facts":
+        """These facts with what has been decided by them: neither time nor statements nor deadlines."""
+        made = replace(self, **decided)  # type: ignore[arg-type]  # its fields, by name
+        made.__dict__["_current"], made.__dict__["_accusers"] = self._current, self._accusers
+        return made
+
+    def _silenced(self, monitor: Monitor) -> Statement:
+        """What counts of a monitor that is silent."""
         last = self.statements.get(monitor)
         if last is None:
             return Statement(
@@ -201,8 +222,6 @@ class Facts:
                 "",
                 why=explain(Code.MONITORS_MISSING, monitors=(monitor,)),
             )
-        if not self.is_silent(monitor):
-            return last
         ahead_s = (last.stated_ns - self.time_ns) / SECOND_NS
         if ahead_s > 0.0:
             why = explain(Code.MONITOR_AHEAD, monitor=monitor, ahead_s=ahead_s)
@@ -219,9 +238,5 @@ class Facts:
 
     def accusing(self, monitors: tuple[Monitor, ...], accused: str | None = None) -> list[Statement]:
         """Statements of these monitors that accuse (somebody, or the one named)."""
-        found = (self.statement(monitor) for monitor in monitors)
-        return [
-            statement
-            for statement in found
-            if statement.outcome is Outcome.ACCUSES and (accused is None or accused in statement.accused)
-        ]
+        found = [self._accusers[monitor] for monitor in monitors if monitor in self._accusers]
+        return [statement for statement in found if accused is None or accused in statement.accused]

@@ -192,10 +192,11 @@ class Process:
         facts = self._facts(Admission(self._gnss.suspect_since_ns is not None, False, self._gnss.suspect_since_ns))
         if facts.conflict_open and (facts.excluded_test_ratio or 0.0) > AGREES:
             self._gnss.was_apart = True
-        facts = replace(facts, beliefs=self._beliefs.update(facts, self._open()), gnss_was_apart=self._gnss.was_apart)
+        beliefs = self._beliefs.update(facts, self._open())
+        unconfirmed = self._start.unconfirmed(facts, self._navigation)
+        facts = facts.with_decided(beliefs=beliefs, gnss_was_apart=self._gnss.was_apart, start_unconfirmed=unconfirmed)
         self._follow_alike(facts)
         facts, admission = self._admitted(facts)
-        facts = replace(facts, start_unconfirmed=self._start.unconfirmed(facts, self._navigation))
         found = self._steady.after(facts)
         before = self._published
         level = found.state
@@ -217,7 +218,7 @@ class Process:
             gnss_disturbed_since_ns=facts.disturbed_since_ns,
             odometer_excluded=facts.odometer_excluded,
             imu_excluded=facts.imu_excluded,
-            beliefs=tuple(_beliefs(facts)),
+            beliefs=tuple(_beliefs(facts, self._beliefs)),
             protection_level_horizontal_m=horizontal_m,
             protection_level_vertical_m=vertical_m,
             alert_limit_horizontal_m=facts.limits.horizontal_m,
@@ -305,8 +306,8 @@ class Process:
         accused = facts.acts_on(Hypothesis.ODOMETER)
         self._odometer_excluded = accused or (self._odometer_excluded and facts.survives(Hypothesis.ODOMETER))
         confirmed = self._navigation is not None and self._navigation.imu_excluded
-        facts = replace(
-            facts, conflict_open=admission.open, gnss_excluded=admission.excluded,
+        facts = facts.with_decided(
+            conflict_open=admission.open, gnss_excluded=admission.excluded,
             exclusion_confirmed=self._confirmed(admission), imu_excluded=of_imu.excluded,
             imu_exclusion_confirmed=of_imu.excluded and confirmed, odometer_excluded=self._odometer_excluded,
             disturbed_since_ns=self._after_loss.since_ns,
@@ -387,14 +388,14 @@ def _held_why(state: NavigationState | None) -> tuple[Explanation, ...]:
     return (state.held_code, *(state.held_end_codes or ()))
 
 
-def _beliefs(facts: Facts) -> Iterator[Belief]:
+def _beliefs(facts: Facts, said: Beliefs) -> Iterator[Belief]:
     """Posteriors with the solutions that belong to them, as a message."""
     for belief in facts.beliefs:
-        other = facts.alternatives.get(belief.hypothesis)
+        other, why = facts.alternatives.get(belief.hypothesis), said.why(belief.hypothesis)
         yield Belief(
             hypothesis=belief.hypothesis, prior=belief.prior, probability=min(1.0, belief.probability),
             survives=belief.survives,
-            acted_on=belief.acted_on, reason=reason(belief.why), reason_code=belief.why, since_ns=belief.since_ns,
+            acted_on=belief.acted_on, reason=reason(why), reason_code=why, since_ns=belief.since_ns,
             distance_m=None if other is None else other.distance_m, level_m=None if other is None else other.level_m,
         )  # fmt: skip
 

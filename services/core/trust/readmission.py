@@ -48,13 +48,11 @@ def healthy_time(fault_s: float, earlier_faults: int) -> float:
 
 @dataclass(frozen=True)
 class Admission:
-    """Whether there is a conflict, whether GNSS is excluded, since when it is suspect, how long it must agree."""
+    """Whether there is a conflict, whether GNSS is excluded, and since when it is suspect."""
 
     open: bool
     excluded: bool = False
     suspect_since_ns: int | None = None
-    healthy_for_s: float = 0.0
-    required_s: float = 0.0
 
 
 class Readmission:
@@ -114,7 +112,7 @@ class Readmission:
         if self._healthy_ns is not None and healthy_s >= required_s:
             self.end(self._accused_ns)
             return Admission(open=False)
-        return Admission(True, self._decided and not declined, self._suspect_ns, healthy_s, required_s)
+        return Admission(True, self._decided and not declined, self._suspect_ns)
 
     def end(self, time_ns: int) -> None:
         """End the conflict, if there is one, and count it as a fault that ended at a time."""

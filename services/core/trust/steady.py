@@ -58,7 +58,7 @@ def _at_narrower_limits(facts: Facts, row: int, found: Verdict) -> Verdict:
     """Verdict at the limits at which a row is left."""
     if row == ROW_NEAR:
         limits = replace(facts.limits, near_share=NARROWER * facts.limits.near_share)
-        return verdict(replace(facts, limits=limits))
+        return verdict(facts.with_decided(limits=limits))
     above = [
         explain(Code.LEVEL_HAS_TO_FALL, axis=axis, level_m=level_m, limit_m=limit_m, share=LEAVES_UNSAFE)
         for axis, level_m, limit_m in axes(facts)

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
+from pydantic import BaseModel
+
 from .kernel import threads
 from .rights import Start
 
@@ -29,6 +31,14 @@ def prepare(modules: Iterable[str]) -> None:
     gc.disable()
     for name in modules:
         import_module(name)
+    build_validators(BaseModel)
+
+
+def build_validators(base: type[BaseModel]) -> None:
+    """Build what messages build with their first use: each child would have its own."""
+    for model in base.__subclasses__():
+        model.model_rebuild(raise_errors=False)
+        build_validators(model)
 
 
 def loaded_files() -> dict[Path, tuple[int, int, int]]:
@@ -89,6 +99,7 @@ def fork(start: Start) -> int | None:
     if (count := threads()) != 1:
         raise TooManyThreads(f"has {count} threads, and cannot fork {' '.join(start.arguments)}")
     gc.freeze()
+    gc.collect()  # of nothing, but it returns free lists, which each child would do in pages of its own
     reading, writing = os.pipe()
     try:
         between = os.fork()

@@ -14,10 +14,11 @@ from ..settings import Settings
 from .base import Measurement, Outcome
 from .carrier.aid import AntennaDisplacement, CarrierPath
 from .gate import REJECTED, Gate
-from .gnss.comparison import Comparison
+from .gnss.comparison import Comparison, Corrections
 from .gnss.correlated import position_errors_of
 from .gnss.duplicate_epochs import Epochs
 from .gnss.fix import GnssPosition, GnssVelocity
+from .gnss.gate import GnssGate
 from .gnss.lever_arm import LeverArmMonitor
 from .magnetometer.aid import CompassCheck, MagneticHeading
 from .non_holonomic.aid import NonHolonomic
@@ -53,7 +54,7 @@ class Aids:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self.gate = Gate(settings)
+        self.gate, self.gnss = Gate(settings), GnssGate(settings)
         self.error_monitor = ErrorMonitor()
         self.undetected_shift = UndetectedShift()
         self._odometer: WheelSpeed | None = None  # newest speed of the odometer in use
@@ -66,27 +67,28 @@ class Aids:
     def copy(self) -> "Aids":
         """Independent copy."""
         made = shallow(self)
-        made.gate = shallow(self.gate)
+        made.gate, made.gnss = shallow(self.gate), shallow(self.gnss)
         return made
 
     def begin(self, time_ns: int, started: ErrorStateFilter, comparison: Comparison) -> None:
         """Start with a new filter and the comparison that gave its heading."""
         if self._delays is not None:
             started.correct_delay(*self._delays, moved=False)  # it starts at a place that a corrected fix has given
-        self.gate.restart(comparison)
         self._carrier = CarrierPath()
+        self.gate.corrections = Corrections()
+        self.gnss.restart(comparison)
         self.error_monitor = self.error_monitor.restarted(time_ns, started)
 
     def use_delay(self, corrected: tuple[float, float], left_s: float) -> None:
         """Keep the delays of GNSS [s] by which stamps are corrected from now on, and what is left of a position's."""
         self._delays = corrected
         self.error_monitor = replace(self.error_monitor, delay_s=left_s)
-        self.gate.lever_arm = LeverArmMonitor()  # what late fixes have shown is of the delay
+        self.gnss.lever_arm = LeverArmMonitor()  # what late fixes have shown is of the delay
 
     def heading_error(self, measurement: Measurement, navigation: ErrorStateFilter) -> tuple[float, float] | None:
         """Turn that corrects the filter's heading where GNSS contradicts it, and its 1 σ [rad]; None if it does not."""
         if isinstance(measurement, GnssPosition | GnssVelocity):
-            return self.gate.heading_error(measurement, navigation)
+            return self.gnss.heading_error(self.gate, measurement, navigation)
         return None
 
     def is_duplicate(self, measurement: Measurement, navigation: ErrorStateFilter | None) -> bool:
@@ -117,7 +119,10 @@ class Aids:
             observation = observe(navigation)
             navigation.propagate_covariance()
             P = navigation.P
-            outcome = self.gate.use(navigation, measurement, observation)
+            if measurement.inflation:
+                outcome = self.gnss.use(self.gate, navigation, measurement, observation)
+            else:
+                outcome = self.gate.use(navigation, measurement, observation)
             if outcome.used and isinstance(measurement, GnssPosition | GnssVelocity):
                 limits = gating.false_alarm_probability, gating.robust_limit
                 self.undetected_shift = self.undetected_shift.after(outcome, P, navigation.P, limits)

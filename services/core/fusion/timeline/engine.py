@@ -364,7 +364,7 @@ class Engine:
         self._suspect_s += span_s
         if self.filter is None or self._suspect_s < SUSPECT_PERIOD_S - 1e-3:
             return
-        self.aids.gate.comparison = Comparison()  # its accelerations would be wrong
+        self.aids.gnss.comparison = Comparison()  # its accelerations would be wrong
         self.attempt(partial(inflate_for_suspect_samples, span_s=self._suspect_s))
         self._suspect_s = 0.0
 
@@ -566,7 +566,7 @@ class Engine:
         self.counts = self.counts._replace(resets=self.counts.resets + 1)
         self._end_solution(why, kept, self.filter if kept else None)
         if kept and self._alignment is not None:  # not after a gap, in which the level frame may have turned
-            self._alignment.comparison = self.aids.gate.comparison.interrupted()
+            self._alignment.comparison = self.aids.gnss.comparison.interrupted()
 
     def _end_solution(
         self, why: Explanation, kept: Heading | None, lost: ErrorStateFilter | None, tilt_variance: float = 1.0

@@ -13,13 +13,27 @@ CLIP = 4.0
 KINDS = (AidingKind.GNSS_VELOCITY, AidingKind.GNSS_POSITION)
 AXES = ("north", "east", "down", "along", "across")
 Axes = tuple[float, float, float, float, float]
+NO_SUM: Axes = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class Second(NamedTuple):
-    """Mean of the normalised innovations of a second."""
+    """Mean of the normalised innovations of a second, and the sum of the means up to it."""
 
     number: int
     mean: Axes
+    total: Axes
+
+
+def plus(a: Axes, b: Axes, sign: float = 1.0) -> Axes:
+    """Sum a + b of each axis, or a - b with the sign -1."""
+    return (
+        a[0] + sign * b[0], a[1] + sign * b[1], a[2] + sign * b[2], a[3] + sign * b[3], a[4] + sign * b[4],
+    )  # fmt: skip
+
+
+def sums_over(first: Second, last: Second) -> Axes:
+    """Sum of each axis from one second to another, both included."""
+    return plus(plus(last.total, first.total, -1.0), first.mean)
 
 
 class InnovationSeconds:
@@ -72,5 +86,7 @@ class InnovationSeconds:
         north, east, down, along, across = (value / self._count for value in self._sum)
         if self._heights:
             down *= self._count / self._heights
-        self.seconds.append(Second(self._number, (north, east, down, along, across)))
+        mean = north, east, down, along, across
+        total = self.seconds[-1].total if self.seconds else NO_SUM
+        self.seconds.append(Second(self._number, mean, plus(total, mean)))
         self._count, self._heights, self._sum = 0, 0, [0.0] * 5

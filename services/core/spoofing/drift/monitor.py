@@ -10,11 +10,13 @@ navi.629, 2024: accumulated innovations of an inertial navigation filter. Window
 are this project's.
 """
 
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from math import sqrt
+from operator import attrgetter
 from typing import NamedTuple
 
 from shared.inertial.increments import SECOND_NS
@@ -27,7 +29,7 @@ from shared.trust.result import Test, dated
 from ..codes import Code
 from ..grade import Grade
 from ..settings import Settings
-from .innovations import KINDS, InnovationSeconds, Second
+from .innovations import KINDS, InnovationSeconds, Second, sums_over
 from .spread import MIN_BLOCKS, Spread, f_limit
 
 LENGTHS_S = (30, 100, 300)
@@ -44,6 +46,7 @@ RECOVERED_S, RECOVERED_RATE = 10, 0.01
 ODOMETER_NS = 3 * SECOND_NS  # age of a speed that the prediction may rest on
 ALONG_RATE = 1e-3  # of a sum along the vehicle, below which the odometer may be what is wrong
 NORTH, EAST, DOWN, ALONG, ACROSS = range(5)
+NUMBER = attrgetter("number")  # of a second
 
 
 class Part(StrEnum):
@@ -128,8 +131,9 @@ class DriftMonitor:
         found, doubtful, recovered = {}, False, True
         for kind, innovations in self._innovations.items():
             innovations.complete(now_s - MAX_DELAY_S)
+            end_s = innovations.seconds[-1].number + 1 if innovations.seconds else now_s
             for length in LENGTHS_S:
-                spread, sums = self._spreads[kind, length], summed(innovations.seconds, length)
+                spread, sums = self._spreads[kind, length], summed(innovations.seconds, end_s, length)
                 result = self._result(spread, sums) if sums is not None else None
                 name = f"{NAMES[kind]}_{length}"
                 found[name] = self._verdict(name, kind, length, result, sums, time_ns)
@@ -204,26 +208,17 @@ class DriftMonitor:
                 last_s = self._learned_s.get((kind, length), 0)
                 if end_s - length < max(last_s, self._suspected_s):
                     continue
-                block = [second for second in innovations.seconds if end_s - length <= second.number < end_s]
-                if len(block) >= MIN_SHARE * length:
-                    self._spreads[kind, length].learn(sums_of(block), len(block))
+                if (block := summed(innovations.seconds, end_s, length)) is not None:
+                    self._spreads[kind, length].learn(block.sums, block.seconds)
                     self._learned_s[kind, length] = end_s
 
 
-def summed(seconds: Sequence[Second], length: int) -> Sums | None:
-    """Sums over the newest seconds, None where too many are missing."""
-    if not seconds:
+def summed(seconds: Sequence[Second], end_s: int, length: int) -> Sums | None:
+    """Sums over the seconds of a window that ends before a second, None where too many are missing."""
+    begin, end = (bisect_left(seconds, number, key=NUMBER) for number in (end_s - length, end_s))
+    if end - begin < MIN_SHARE * length:
         return None
-    end_s = seconds[-1].number + 1
-    chosen = [second for second in seconds if second.number >= end_s - length]
-    if len(chosen) < MIN_SHARE * length:
-        return None
-    return Sums(sums_of(chosen), len(chosen), end_s - length)
-
-
-def sums_of(seconds: Sequence[Second]) -> tuple[float, ...]:
-    """Sum of each axis."""
-    return tuple(map(sum, zip(*(second.mean for second in seconds), strict=True)))
+    return Sums(sums_over(seconds[begin], seconds[end - 1]), end - begin, end_s - length)
 
 
 def missing(spread: Spread, sums: Sums | None) -> Explanation:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from functools import lru_cache
-from math import sqrt
 
 from scipy.special import fdtri
 
@@ -83,8 +82,3 @@ def f_limit(dimension: int, freedom: int, false_alarm_rate: float) -> float:
         [-] Quantile of the F distribution, which tends to that of chi-square over `dimension` for many numbers.
     """
     return float(fdtri(dimension, freedom, 1.0 - false_alarm_rate))
-
-
-def least_drift(limit: float, variance: float, seconds: int) -> float:
-    """Mean innovation, in standard deviations, whose sum over some seconds reaches a limit."""
-    return sqrt(limit * variance / seconds)

@@ -7,7 +7,7 @@ velocity: the way since the start of a propagation adds it up.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,7 @@ from .free_propagation import MOVED, FreePropagations
 from .metrics import WINDOW_S
 
 FloatArray = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.intp]
 
 LENGTHS_S = (30, 60)  # of velocities
 WINDOW_LENGTHS_S = (60, 120)
@@ -83,14 +84,44 @@ class _Result(Protocol):
 Found = TypeVar("Found", bound=_Result)
 
 
-def _parts(compared: list[_Passed], anchor_ns: int) -> list[list[_Passed]]:
-    """Fixes without the one that is farthest from a propagation, and the two halves of them."""
-    apart = [
-        float(np.linalg.norm(passed.fix.velocity_n - passed.nodes[passed.rows[anchor_ns], :DIMENSIONS]))
-        for passed in compared
-    ]
-    worst, half = apart.index(max(apart)), len(compared) // 2
-    return [compared[:worst] + compared[worst + 1 :], compared[:half], compared[half:]]
+class _Differences(NamedTuple):
+    """What GNSS and one propagation say of the velocity at some fixes."""
+
+    times_s: FloatArray  # shape (n,) since the first one
+    gnss_n: FloatArray  # shape (n, 3) [m/s, NED]
+    sd_n: FloatArray  # shape (n, 3) [m/s] of GNSS
+    free_n: FloatArray  # shape (n, 3) [m/s, NED]
+    P: FloatArray  # shape (n, 3, 3) [m²/s²] of the propagation
+    position_sd: FloatArray  # shape (n,) [m]
+    of_positions: npt.NDArray[np.bool_]  # shape (n,) velocities that are differences of positions
+
+    def part(self, rows: Rows) -> "_Differences":
+        """Some of the fixes."""
+        return _Differences(
+            self.times_s[rows], self.gnss_n[rows], self.sd_n[rows], self.free_n[rows], self.P[rows],
+            self.position_sd[rows], self.of_positions[rows],
+        )  # fmt: skip
+
+    def parts(self) -> list["_Differences"]:
+        """Fixes without the one that is farthest from the propagation, and the two halves of them, if large enough."""
+        rows, half = np.arange(len(self.times_s)), len(self.times_s) // 2
+        worst = int(np.linalg.norm(self.gnss_n - self.free_n, axis=1).argmax())
+        parts = np.delete(rows, worst), rows[:half], rows[half:]
+        return [self.part(part) for part in parts if len(part) >= MIN_PART]
+
+
+def _differences(compared: list[_Passed], anchor_ns: int) -> _Differences:
+    """Differences of some fixes from the propagation of an anchor."""
+    fixes, rows = [passed.fix for passed in compared], [passed.rows[anchor_ns] for passed in compared]
+    return _Differences(
+        np.array([fix.time_ns - fixes[0].time_ns for fix in fixes]) / SECOND_NS,
+        np.array([fix.velocity_n for fix in fixes]),
+        np.array([fix.sd for fix in fixes]),
+        np.array([passed.nodes[row, :DIMENSIONS] for passed, row in zip(compared, rows, strict=True)]),
+        np.array([passed.P[row] for passed, row in zip(compared, rows, strict=True)]),
+        np.array([fix.position_sd for fix in fixes]),
+        np.array([fix.of_positions for fix in fixes]),
+    )
 
 
 def _beside(found: Sequence[Found | None], agrees: float) -> Found | None:
@@ -315,29 +346,25 @@ class LongWindow:
         fix or one half of the fixes makes no contradiction: the least of the statistics counts, of all fixes, of those
         without the one that is farthest from the run, and of each half.
         """
-        parts = [compared, *_parts(compared, anchor_ns)]
-        found = [self._of_fixes(anchor_ns, part) for part in parts if len(part) >= MIN_PART]
-        return replace(found[0], statistic=min(long_result.statistic for long_result in found))
+        whole = _differences(compared, anchor_ns)
+        tested = [self._means(part) for part in (whole, *whole.parts())]
+        d, S = (np.array(values) for values in zip(*tested, strict=True))
+        statistics = np.vecdot(d, np.linalg.solve(S, d[..., None])[..., 0])
+        mean = whole.free_n.mean(axis=0)
+        differ = self._speeds_differ(mean, mean + d[0], S[0])
+        return LongResult(float(statistics.min()), d[0], np.sqrt(np.diag(S[0])), anchor_ns, differ)
 
-    def _of_fixes(self, anchor_ns: int, compared: list[_Passed]) -> LongResult:
-        """Test the mean difference of some fixes."""
-        gnss = self._settings.gnss
-        fixes = [passed.fix for passed in compared]
-        times = np.array([(fix.time_ns - fixes[0].time_ns) / SECOND_NS for fix in fixes])
-        free = np.array([passed.nodes[passed.rows[anchor_ns], :DIMENSIONS] for passed in compared])
-        sd = np.array([fix.sd for fix in fixes])
-        d, mean = np.array([fix.velocity_n for fix in fixes]).mean(axis=0), free.mean(axis=0)
-        d -= mean
-        R = np.diag(mean_variance(times, sd.T, gnss.velocity_correlation_s))
-        if any(fix.of_positions for fix in fixes):
-            ends = fixes[0].position_sd, fixes[-1].position_sd
-            R[0, 0] = R[1, 1] = (ends[0] ** 2 + ends[1] ** 2) / max(times[-1], 1.0) ** 2
-        acceleration = (free[-1] - free[0]) / times[-1]
-        P = np.array([passed.P[passed.rows[anchor_ns]] for passed in compared]).mean(axis=0)
-        S = P + R + gnss.time_sd_s**2 * np.outer(acceleration, acceleration)
-        S = self._settings.profile.long_factor**2 * S
-        differ = self._speeds_differ(mean, mean + d, S)
-        return LongResult(float(d @ np.linalg.solve(S, d)), d, np.sqrt(np.diag(S)), anchor_ns, differ)
+    def _means(self, fixes: _Differences) -> tuple[FloatArray, FloatArray]:
+        """Mean difference d of some fixes, and its covariance S."""
+        gnss, times_s, free_n, sds = self._settings.gnss, fixes.times_s, fixes.free_n, fixes.position_sd
+        duration_s = float(times_s[-1] - times_s[0])
+        d = fixes.gnss_n.mean(axis=0) - free_n.mean(axis=0)
+        R = np.diag(mean_variance(times_s, fixes.sd_n.T, gnss.velocity_correlation_s))
+        if fixes.of_positions.any():
+            R[0, 0] = R[1, 1] = (sds[0] ** 2 + sds[-1] ** 2) / max(duration_s, 1.0) ** 2
+        acceleration = (free_n[-1] - free_n[0]) / duration_s
+        S = fixes.P.mean(axis=0) + R + gnss.time_sd_s**2 * np.outer(acceleration, acceleration)
+        return d, self._settings.profile.long_factor**2 * S
 
     def _speeds_differ(self, free_n: FloatArray, gnss_n: FloatArray, S: FloatArray) -> bool:
         speed = float(np.hypot(free_n[0], free_n[1]))

@@ -48,10 +48,14 @@ def window_of_fixes(fixes: Sequence[VelocityFix]) -> list[VelocityFix] | Explana
     if not fixes:
         return explain(Code.NO_INPUT, input=Input.GNSS_VELOCITY)
     limit_ns = fixes[-1].time_ns - round((WINDOW_S - 0.1) * SECOND_NS)
-    begin = next((i for i in range(len(fixes) - 1, -1, -1) if fixes[i].time_ns <= limit_ns), None)
-    if begin is None or fixes[-1].time_ns - fixes[begin].time_ns > MAX_DURATION_S * SECOND_NS:
+    chosen: list[VelocityFix] = []
+    for fix in reversed(fixes):
+        chosen.append(fix)
+        if fix.time_ns <= limit_ns:
+            break
+    chosen.reverse()
+    if chosen[0].time_ns > limit_ns or chosen[-1].time_ns - chosen[0].time_ns > MAX_DURATION_S * SECOND_NS:
         return explain(Code.FEW_VELOCITIES)
-    chosen = list(fixes[begin:])
     if any(b.time_ns - a.time_ns > GAP_S * SECOND_NS for a, b in pairwise(chosen)):
         return explain(Code.VELOCITY_GAP, limit_s=GAP_S)
     return chosen

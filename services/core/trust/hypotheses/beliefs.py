@@ -70,12 +70,11 @@ class Beliefs:
             The most probable first; "nothing is wrong" is one of them.
         """
         named = self._count(facts)
-        for hypothesis in PRIOR:
-            if hypothesis not in named and hypothesis not in open_ones:
-                self._since_ns.pop(hypothesis, None)
-                self._earlier.pop(hypothesis, None)
-                for evidence in self._evidence.values():
-                    evidence.forget(hypothesis)
+        for hypothesis in [known for known in self._since_ns if known not in named and known not in open_ones]:
+            del self._since_ns[hypothesis]  # nothing has been said of a hypothesis that is not in it
+            self._earlier.pop(hypothesis, None)
+            for evidence in self._evidence.values():
+                evidence.forget(hypothesis)
         is_contradicted = bool(named) or facts.conflict_open or facts.held_m is not None
         suspected = suspected_priors(self._since_ns, facts.risk) if is_contradicted else {}
         return self._posteriors(facts.risk, {**PRIOR, **suspected})
@@ -108,7 +107,9 @@ class Beliefs:
         self._since_ns[hypothesis] = since_ns if known_ns is None else min(known_ns, since_ns)
 
     def _posteriors(self, risk: float, priors: Mapping[Hypothesis, float]) -> tuple[Posterior, ...]:
-        weights = {k: prior * exp(self._sum(k)) for k, prior in priors.items()}
+        sums = [*(evidence.sums for evidence in self._evidence.values()), self._earlier]
+        said = [of_one for of_one in sums if of_one]
+        weights = {k: prior * exp(sum([of_one.get(k, 0.0) for of_one in said])) for k, prior in priors.items()}
         weights[Hypothesis.NOTHING] = NO_FAULT
         total = sum(weights.values())
         shares = {k: weight / total for k, weight in weights.items()}
@@ -120,18 +121,13 @@ class Beliefs:
                 share,
                 k in surviving or (k is Hypothesis.NOTHING and share > risk),
                 surviving == {k} and share > CERTAIN_PROBABILITY,
-                self._why(k),
                 self._since_ns.get(k),
             )
             for k, share in shares.items()
         ]
         return tuple(sorted(found, key=lambda posterior: -posterior.probability))
 
-    def _sum(self, hypothesis: Hypothesis) -> float:
-        said = sum(evidence.sums.get(hypothesis, 0.0) for evidence in self._evidence.values())
-        return said + self._earlier.get(hypothesis, 0.0)
-
-    def _why(self, hypothesis: Hypothesis) -> Explanation:
+    def why(self, hypothesis: Hypothesis) -> Explanation:
         """Which monitors speak for it and against it."""
         if hypothesis is Hypothesis.NOTHING:
             return explain(Code.FALSE_ALARMS if self._since_ns else Code.NO_ACCUSATION)

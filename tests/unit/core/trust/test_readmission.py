@@ -14,7 +14,6 @@ from services.core.trust.readmission import (
     judge_gnss,
     judge_imu,
 )
-from shared.messages.explanation import explain
 from shared.messages.trust import Hypothesis, Outcome
 from tests.support.cases import each
 
@@ -139,7 +138,7 @@ def facts(**outcomes: tuple[Outcome, tuple[str, ...]]) -> Facts:
 
 
 ACCUSED, EITHER = (Outcome.ACCUSES, ("gnss",)), (Outcome.ACCUSES, ("gnss", "imu"))
-SURVIVES = Posterior(Hypothesis.GNSS, 1e-4, 0.6, True, False, explain("trust.no_evidence"), 7)
+SURVIVES = Posterior(Hypothesis.GNSS, 1e-4, 0.6, True, False, 7)
 ALONE = replace(SURVIVES, probability=0.999, acted_on=True)
 
 

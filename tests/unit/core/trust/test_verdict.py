@@ -67,7 +67,7 @@ def codes(explanations: Explanations) -> list[str]:
 
 
 def believed(hypothesis: Hypothesis, probability: float, *, acted_on: bool = False) -> Posterior:
-    return Posterior(hypothesis, 1e-3, probability, True, acted_on, explain(Code.NO_EVIDENCE), NOW_NS - 12 * SECOND_NS)
+    return Posterior(hypothesis, 1e-3, probability, True, acted_on, NOW_NS - 12 * SECOND_NS)
 
 
 EXCLUDED = replace(SAFE, conflict_open=True, gnss_excluded=True, exclusion_confirmed=True)

@@ -13,6 +13,7 @@ from services.core.fusion.aids.gate import Gate, _weight
 from services.core.fusion.aids.gnss.correlated import GNSS_ERROR, POSITION
 from services.core.fusion.aids.gnss.faults import FaultStatus
 from services.core.fusion.aids.gnss.fix import GnssPosition
+from services.core.fusion.aids.gnss.gate import GnssGate
 from services.core.fusion.aids.gnss.position_errors import HYPOTHESES, SCALES, UNKNOWN_ERRORS
 from services.core.fusion.codes import Code
 from services.core.fusion.inertial import error_model as em
@@ -292,7 +293,7 @@ def test_a_jump_within_the_stated_accuracy_changes_the_time_correlated_error_and
     """As after a change of satellites: the fix is used with full weight."""
     twin = copy(filter_with_long_correlation_time())
     fix = fix_beside(twin, 6.0)
-    outcome = Gate(SETTINGS).use(twin, fix, fix.observe(twin))
+    outcome = GnssGate(SETTINGS).use(Gate(SETTINGS), twin, fix, fix.observe(twin))
     assert outcome.used and outcome.weight == 1.0
     assert twin.parameters_of(GNSS_ERROR)[0] == pytest.approx(2.0, rel=0.02)
     assert abs(twin.position_correction[0] - filter_with_long_correlation_time().position_correction[0]) < 0.1
@@ -301,7 +302,7 @@ def test_a_jump_within_the_stated_accuracy_changes_the_time_correlated_error_and
 def test_a_jump_beyond_the_stated_accuracy_is_rejected() -> None:
     twin = copy(filter_with_long_correlation_time())
     fix = fix_beside(twin, 15.0)
-    assert not Gate(SETTINGS).use(twin, fix, fix.observe(twin)).used
+    assert not GnssGate(SETTINGS).use(Gate(SETTINGS), twin, fix, fix.observe(twin)).used
     assert twin.parameters_of(GNSS_ERROR)[0] == 0.0
 
 

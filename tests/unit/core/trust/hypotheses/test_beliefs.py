@@ -26,7 +26,14 @@ def statement(monitor: Monitor, accused: tuple[str, ...] = (), *, tests: tuple[s
 
 def after(seconds: int, said: dict[Monitor, tuple[str, ...] | None], *, odometer: bool = True) -> dict[H, Posterior]:
     """Posteriors after some seconds of the same statements; None of a monitor that is not evaluated."""
-    beliefs, found = Beliefs(), tuple[Posterior, ...]()
+    return updated(Beliefs(), seconds, said, odometer=odometer)
+
+
+def updated(
+    beliefs: Beliefs, seconds: int, said: dict[Monitor, tuple[str, ...] | None], *, odometer: bool = True
+) -> dict[H, Posterior]:
+    """Posteriors of beliefs after the same."""
+    found = tuple[Posterior, ...]()
     for k in range(1, seconds + 1):
         now_ns = k * SECOND_NS
         statements = {
@@ -80,18 +87,19 @@ def test_hypotheses_that_explain_what_is_said_survive_and_one_alone_is_acted_on(
 
 
 def test_a_belief_names_the_monitors_that_speak_for_it_and_against_it() -> None:
-    quiet = after(3, {})
-    assert quiet[H.NOTHING].why == explain(Code.NO_ACCUSATION) and quiet[H.GNSS].why == explain(Code.NO_EVIDENCE)
-    found = after(30, {**ALL_PASS, Monitor.INERTIAL_SHORT: EITHER, Monitor.GYROSCOPE: ("imu",)})
-    assert found[H.NOTHING].why == explain(Code.FALSE_ALARMS)
-    assert found[H.IMU].why.code in (Code.SUPPORTED, Code.DISPUTED)
-    assert {"inertial_short", "gyroscope"} <= set(found[H.IMU].why.values["supporting"])  # type: ignore[arg-type]
-    alone = after(30, {Monitor.INERTIAL_SHORT: EITHER})
-    assert alone[H.IMU].why == explain(Code.SUPPORTED, supporting=("inertial_short",))
-    against = after(30, {Monitor.SATELLITES: ("G05",), Monitor.GYROSCOPE: (), Monitor.INERTIAL_SHORT: EITHER})
+    quiet, found, alone, against = (Beliefs() for _ in range(4))
+    updated(quiet, 3, {})
+    assert quiet.why(H.NOTHING) == explain(Code.NO_ACCUSATION) and quiet.why(H.GNSS) == explain(Code.NO_EVIDENCE)
+    updated(found, 30, {**ALL_PASS, Monitor.INERTIAL_SHORT: EITHER, Monitor.GYROSCOPE: ("imu",)})
+    assert found.why(H.NOTHING) == explain(Code.FALSE_ALARMS)
+    assert found.why(H.IMU).code in (Code.SUPPORTED, Code.DISPUTED)
+    assert {"inertial_short", "gyroscope"} <= set(found.why(H.IMU).values["supporting"])  # type: ignore[arg-type]
+    updated(alone, 30, {Monitor.INERTIAL_SHORT: EITHER})
+    assert alone.why(H.IMU) == explain(Code.SUPPORTED, supporting=("inertial_short",))
+    updated(against, 30, {Monitor.SATELLITES: ("G05",), Monitor.GYROSCOPE: (), Monitor.INERTIAL_SHORT: EITHER})
     disputed = explain(Code.DISPUTED, supporting=("inertial_short",), contradicting=("gyroscope",))
-    assert against[H.GNSS].why == disputed
-    assert all(words().detail(posterior.why) for made in (quiet, found, alone, against) for posterior in made.values())
+    assert against.why(H.GNSS) == disputed
+    assert all(words().detail(beliefs.why(name)) for beliefs in (quiet, found, alone, against) for name in H)
 
 
 def test_without_a_statement_the_posteriors_are_the_priors() -> None:
