@@ -113,6 +113,10 @@ class Aids:
         if isinstance(measurement, AntennaDisplacement):
             yield from self._use_displacement(navigation, measurement.after(self._carrier))
             return
+        yield from self._use(navigation, measurement)
+
+    def _use(self, navigation: ErrorStateFilter, measurement: Measurement) -> Iterator[Outcome]:
+        """Use each observation of a measurement, and learn from its outcome."""
         gating = self._settings.gating
         for observe in measurement.observers():
             before = block(navigation) if isinstance(measurement, GnssPosition) else NO_BLOCK
