@@ -54,7 +54,7 @@ TABLES: tuple[tuple[str, str, type[StrEnum], set[str]], ...] = (  # file, table,
     ("words.js", "statusWhy", ProcessStatus, set()),
     ("words.js", "trust", Trust, set()),
     ("words.js", "uses", MessageUse, set()),
-    ("words.js", "verdicts", SetUpVerdict, {"unknown"}),  # those checks are listed without one
+    ("system/system_words.js", "verdicts", SetUpVerdict, {"unknown"}),  # those checks are listed without one
 )
 
 

@@ -22,6 +22,7 @@ STOPSIGNAL SIGRTMIN+3
 CMD ["/sbin/init"]
 """
 INSTALL_S = 900.0
+CERTIFICATES = "NODE_EXTRA_CA_CERTS=/etc/ssl/certs/ca-certificates.crt"  # of a network whose proxy has its own
 ACCESS_POINT = "/etc/NetworkManager/system-connections/obu-access-point.nmconnection"
 BROKEN = "sed -i 's/^class Process:/class Process(:/' services/core/fusion/process.py"
 COMMIT = "git -c safe.directory='*' -c user.name=x -c user.email=x@x commit -qam broken"
@@ -36,8 +37,8 @@ class Machine:
     def run(self, command: str, *, fails: bool = False) -> str:
         """Run a command of a shell; its output, both kinds."""
         done = subprocess.run(
-            ["docker", "exec", self.name, "sh", "-c", f"{command} 2>&1"], capture_output=True, text=True,
-            timeout=INSTALL_S, check=False,
+            ["docker", "exec", "--env", CERTIFICATES, self.name, "sh", "-c", f"{command} 2>&1"], capture_output=True,
+            text=True, timeout=INSTALL_S, check=False,
         )  # fmt: skip
         assert bool(done.returncode) is fails, f"{command}\n{done.stdout[-3000:]}"
         return done.stdout
