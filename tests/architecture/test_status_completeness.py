@@ -51,7 +51,7 @@ TABLES: tuple[tuple[str, str, type[StrEnum], set[str]], ...] = (  # file, table,
     ("words.js", "phases", NavigationPhase, set()),
     ("toll/toll_words.js", "states", PassageState, set()),
     ("words.js", "status", ProcessStatus, set()),
-    ("words.js", "statusWhy", ProcessStatus, set()),
+    ("system/system_words.js", "statusWhy", ProcessStatus, set()),
     ("words.js", "trust", Trust, set()),
     ("words.js", "uses", MessageUse, set()),
     ("system/system_words.js", "verdicts", SetUpVerdict, {"unknown"}),  # those checks are listed without one
