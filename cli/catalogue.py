@@ -36,6 +36,10 @@ ENTRIES = (
         RUN, "command",
         "Send a command to the unit that runs on this computer, and print whether it is accepted, done or failed.",
     ),
+    Entry(
+        RUN, "set-up",
+        "Measure mounting, lever arm, delays and odometer scale from a drive, and propose settings.",
+    ),
     Entry(RUN, "calibrate", "Learn settings of the unit from recorded drives."),
     Entry(RUN, "config", "List, read and change the settings of a vehicle's file, and take changes back."),
     Entry(RUN, "migrate", "Rewrite a vehicle's file of an earlier version; comments and order stay."),
@@ -163,6 +167,7 @@ COMMANDS = {
     "papers cooperative": ("commands.papers", "cooperative"),
     "papers spoofing": ("commands.papers", "spoofing"),
     "papers toll": ("commands.papers", "toll"),
+    "set-up": ("set_up.set_up", "set_up"),
     "calibrate imu": ("calibrate.imu", "calibrate_imu"),
     "calibrate spoofing": ("calibrate.spoofing", "calibrate_spoofing"),
     "token list": ("token", "list_tokens"),
