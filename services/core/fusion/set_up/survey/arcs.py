@@ -1,6 +1,6 @@
 """Short arcs of dead reckoning, and how they change with what is unknown.
 
-An arc is some 20 s of inertial samples. From a start of unknown attitude, velocity and position it follows by the
+An arc is 10 or 20 s of inertial samples. From a start of unknown attitude, velocity and position it follows by the
 strapdown equations in a local frame, and its errors are linear in those of its start and of the biases::
 
     phi(t) = phi_0 - B(t) dbg                     B(t) = integral of C
@@ -28,7 +28,8 @@ from ..regression import FloatArray
 IntArray = npt.NDArray[np.int64]
 
 STEP_S = 0.05  # between two nodes of an arc
-SPAN_S = 20.0
+SPAN_S, SHORT_S = 20.0, 10.0  # of an arc, and where a drive has few
+FEW = 8  # arcs
 MOVING_M_S = 3.0  # from here on a course is a direction
 MIN_FIXES = 6  # in an arc
 START = 9  # unknowns of the start of an arc: attitude, velocity, position
@@ -77,24 +78,35 @@ class Path:
     velocity_by: FloatArray
     position_by: FloatArray
 
+    @property
+    def span_s(self) -> float:
+        """Length of an arc [s]."""
+        return STEP_S * float(self.velocity.shape[1] - 1)
 
-def increments_of(motion: Motion, begins: FloatArray) -> Increments:
-    """Mean force and rate over the steps of arcs that begin at some times."""
-    steps = round(SPAN_S / STEP_S)
+
+def increments_of(motion: Motion, begins: FloatArray, span_s: float) -> Increments:
+    """Mean force and rate over the steps of arcs of a length that begin at some times."""
+    steps = round(span_s / STEP_S)
     nodes = begins[:, np.newaxis] + STEP_S * np.arange(steps + 1)
     means = np.moveaxis(np.diff(motion.integrals_at(nodes), axis=2), 0, 2) / STEP_S
     return Increments(begins, means[..., :3], means[..., 3:])
 
 
-def begins_of(motion: Motion, velocities: Velocities) -> FloatArray:
-    """Times at which arcs begin: those with samples and fixes throughout, in which the vehicle moves."""
-    margin = 1.0
-    begins = np.arange(motion.nodes[0] + margin, motion.nodes[-1] - SPAN_S - margin, SPAN_S)
-    gaps = np.interp(begins + SPAN_S, motion.nodes, motion.gaps) - np.interp(begins, motion.nodes, motion.gaps)
+def arcs_of(motion: Motion, velocities: Velocities) -> Increments | None:
+    """Arcs with samples and fixes throughout, in which the vehicle moves; None if there are none."""
+    begins, span_s = _begins(motion, velocities, SPAN_S), SPAN_S
+    if len(begins) < FEW:
+        begins, span_s = _begins(motion, velocities, SHORT_S), SHORT_S
+    return increments_of(motion, begins, span_s) if len(begins) else None
+
+
+def _begins(motion: Motion, velocities: Velocities, span_s: float) -> FloatArray:
+    begins = np.arange(motion.nodes[0], motion.nodes[-1] - span_s, span_s)
+    gaps = np.interp(begins + span_s, motion.nodes, motion.gaps) - np.interp(begins, motion.nodes, motion.gaps)
     middle, speed = 0.5 * (velocities.begin + velocities.end), np.hypot(*velocities.ned[:, :2].T)
     found = []
     for begin, gap in zip(begins.tolist(), gaps.tolist(), strict=True):
-        inside = (middle > begin) & (middle < begin + SPAN_S)
+        inside = (middle > begin) & (middle < begin + span_s)
         if gap == 0.0 and inside.sum() >= MIN_FIXES and (speed[inside] > MOVING_M_S).sum() >= MIN_FIXES:
             found.append(begin)
     return np.array(found)
@@ -105,8 +117,9 @@ def starts_of(arcs: Increments, motion: Motion, velocities: Velocities, bias: Fl
     middle = 0.5 * (velocities.begin + velocities.end)
     course, speed = np.arctan2(velocities.ned[:, 1], velocities.ned[:, 0]), np.hypot(*velocities.ned[:, :2].T)
     headings, nodes = [], STEP_S * np.arange(arcs.rate.shape[1] + 1)
+    span_s = float(nodes[-1])
     for begin, rate in zip(arcs.begin.tolist(), arcs.rate[..., 2] - bias[2], strict=True):
-        fit = (middle > begin) & (middle < begin + SPAN_S) & (speed > MOVING_M_S)
+        fit = (middle > begin) & (middle < begin + span_s) & (speed > MOVING_M_S)
         turned = np.interp(middle[fit] - begin, nodes, np.append(0.0, rate.cumsum() * STEP_S))
         headings.append(np.angle(np.exp(1j * (course[fit] - turned)).mean()))
     c, s = np.cos(headings), np.sin(headings)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from ..motion import Motion
 from ..regression import FloatArray
-from .arcs import SPAN_S, START, STEP_S, Path, skews
+from .arcs import START, STEP_S, Path, skews
 
 IntArray = npt.NDArray[np.int64]
 
@@ -112,7 +112,7 @@ class Moments:
 
 
 def moments_of(path: Path, arc: IntArray, after: FloatArray) -> Moments:
-    """Interpolate arcs at times after their begin [s]."""
+    """Interpolate arcs at times after their begin [s], shape (n,)."""
     place = np.clip((after / STEP_S).astype(np.int64), 0, path.velocity.shape[1] - 2)
     share = after / STEP_S - place
 
@@ -129,7 +129,7 @@ def moments_of(path: Path, arc: IntArray, after: FloatArray) -> Moments:
 
 def positions(motion: Motion, begins: FloatArray, path: Path, of: Unknowns) -> list[Rows]:
     """Positions of the antenna: on ground, and of height."""
-    chosen, arc, after = _within(begins, motion.positions[:, 0] - of.delay_s, POSITION_S)
+    chosen, arc, after = _within(begins, path, motion.positions[:, 0] - of.delay_s, POSITION_S)
     at = moments_of(path, arc, after)
     arm = np.einsum("nij,j->ni", at.attitude, of.arm)
     z = motion.positions[chosen, 1:] - at.position - arm
@@ -142,7 +142,7 @@ def positions(motion: Motion, begins: FloatArray, path: Path, of: Unknowns) -> l
 
 def velocities(motion: Motion, begins: FloatArray, path: Path, of: Unknowns) -> list[Rows]:
     """Velocities of the antenna: on ground, and vertical."""
-    chosen, arc, after = _within(begins, motion.velocities[:, 0] - of.delay_s - of.velocity_lag_s, VELOCITY_S)
+    chosen, arc, after = _within(begins, path, motion.velocities[:, 0] - of.delay_s - of.velocity_lag_s, VELOCITY_S)
     at = moments_of(path, arc, after)
     swing = at.attitude @ skews(at.rate)
     moved = swing @ of.arm
@@ -160,7 +160,7 @@ def velocities(motion: Motion, begins: FloatArray, path: Path, of: Unknowns) -> 
 
 def constraints(begins: FloatArray, path: Path, of: Unknowns) -> list[Rows]:
     """Wheels roll along the vehicle, and neither sideways nor off the road; a body is level on average."""
-    steps = np.arange(CONSTRAINT_S, SPAN_S, CONSTRAINT_S)
+    steps = np.arange(CONSTRAINT_S, path.span_s, CONSTRAINT_S)
     arc = np.repeat(np.arange(len(begins)), len(steps))
     at = moments_of(path, arc, np.tile(steps, len(begins)))
     at = _chosen(at, at.body_velocity[:, 0] > ROLLING_M_S)
@@ -182,7 +182,7 @@ def constraints(begins: FloatArray, path: Path, of: Unknowns) -> list[Rows]:
 
 def speeds(motion: Motion, begins: FloatArray, path: Path, of: Unknowns) -> list[Rows]:
     """Speeds of the wheels."""
-    chosen, arc, after = _within(begins, motion.speeds[:, 0], CONSTRAINT_S)
+    chosen, arc, after = _within(begins, path, motion.speeds[:, 0], CONSTRAINT_S)
     at = moments_of(path, arc, after)
     wheel = np.abs(motion.speeds[chosen, 1])
     rolling = (at.body_velocity[:, 0] > ROLLING_M_S) & (wheel > ROLLING_M_S)
@@ -222,11 +222,11 @@ def _means(values: FloatArray, group: IntArray, groups: int) -> FloatArray:
     return found
 
 
-def _within(begins: FloatArray, times: FloatArray, least_s: float) -> tuple[IntArray, IntArray, FloatArray]:
+def _within(begins: FloatArray, path: Path, times: FloatArray, least_s: float) -> tuple[IntArray, IntArray, FloatArray]:
     """Measurements inside arcs, at least a time apart: their places, arcs, and times after the begin [s]."""
     arc = np.searchsorted(begins, times, side="right") - 1
     after = times - begins[np.maximum(arc, 0)]
-    inside = (arc >= 0) & (after >= 0.0) & (after <= SPAN_S - 2.0 * STEP_S)
+    inside = (arc >= 0) & (after >= 0.0) & (after <= path.span_s - 2.0 * STEP_S)
     slot = np.floor(times / least_s + 1e-6)
     first = np.concatenate([[True], np.diff(slot) > 0]) if len(slot) else np.zeros(0, dtype=bool)
     chosen = np.flatnonzero(inside & first)
