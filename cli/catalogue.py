@@ -101,6 +101,10 @@ ENTRIES = (
         "bytewise.",
     ),
     Entry(
+        SAFE, "verify-set-up",
+        "Check the signature of a certificate of an installation, and print what it says.",
+    ),
+    Entry(
         SAFE, "verify-toll",
         "Derive each charge again from its evidence, compare it bit for bit, and check chain and signatures.",
     ),
@@ -131,6 +135,7 @@ COMMANDS = {
     "verify": ("recordings.verify", "verify"),
     "verify-toll": ("verify_toll", "verify_toll"),
     "migrate": ("migrate", "migrate"),
+    "config begin": ("config.sets", "begin"),
     "config list": ("config.config", "list_settings"),
     "config get": ("config.config", "get"),
     "config set": ("config.config", "set_values"),
@@ -168,6 +173,7 @@ COMMANDS = {
     "papers spoofing": ("commands.papers", "spoofing"),
     "papers toll": ("commands.papers", "toll"),
     "set-up": ("set_up.set_up", "set_up"),
+    "verify-set-up": ("set_up.certificate", "verify_set_up"),
     "calibrate imu": ("calibrate.imu", "calibrate_imu"),
     "calibrate spoofing": ("calibrate.spoofing", "calibrate_spoofing"),
     "token list": ("token", "list_tokens"),

@@ -92,6 +92,8 @@ def innovations_of(drive: Drive, vehicle: VehicleFile, shown: Shown) -> dict[str
         The recording.
     vehicle : VehicleFile
         Settings that are tried on it.
+    shown : callable
+        Shows how far it is.
     """
     unit = OfflineUnit(vehicle, (*PARSERS, "core.fusion"))
     squares: dict[AidingKind, list[float]] = {kind: [] for kind in KINDS}

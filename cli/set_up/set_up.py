@@ -21,6 +21,7 @@ from shared.settings.edit import checked, edited
 
 from ..output_file import insist_on_place
 from ..progress import progress_on
+from .certificate import write_certificate
 from .drive import Drive, Shown, innovations_of, motion_of_drive, read
 
 LABELS = {
@@ -43,6 +44,10 @@ def set_up(
     compare: Annotated[
         bool, typer.Option("--compare", help="Solve the drive with the settings as they are and as proposed, as well.")
     ] = False,
+    certificate: Annotated[
+        Path | None,
+        typer.Option("--certificate", metavar="FILE", help="Write what was found, signed: JSON, or a page in PDF."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> int:
     """Measure mounting, lever arm, delays and odometer scale from a drive, and propose settings.
@@ -53,11 +58,9 @@ def set_up(
     Examples:
     [bold]obu set-up drive.mcap[/]
     [bold]obu set-up drive.mcap --compare --out vehicle.toml[/]
+    [bold]obu set-up drive.mcap --certificate van.json[/]
     """
-    if out is not None:
-        insist_on_place(out)
-        if out.exists():
-            raise UserError(f"{out} already exists; choose another file with --out, or remove it")
+    _insist_on_places(out, certificate)
     console = Console(stderr=True)
     with progress_on(console) as progress:
 
@@ -76,18 +79,32 @@ def set_up(
             before = innovations_of(drive, drive.vehicle, shown("as it is"))
             innovations = before, innovations_of(drive, changed(drive.vehicle, changes), shown("as proposed"))
     if out is not None:
-        text = edited(drive.vehicle.text, changes)
-        checked(text, str(out))
-        try:
-            out.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise UserError(f"cannot write {out}: {error.strerror}; choose another path with --out") from error
+        _write(out, drive.vehicle, changes)
+    if certificate is not None:
+        write_certificate(certificate, drive, findings)
     if as_json:
         print(json_module.dumps(document(drive, found, findings, innovations)))
         return 0
     _print(findings, innovations)
     print(f"wrote {out}" if out is not None else "With --out FILE the vehicle's file is written with these settings.")
     return 0
+
+
+def _insist_on_places(out: Path | None, certificate: Path | None) -> None:
+    for path, option in ((out, "--out"), (certificate, "--certificate")):
+        if path is not None:
+            insist_on_place(path, option)
+            if path.exists():
+                raise UserError(f"{path} already exists; choose another file with {option}, or remove it")
+
+
+def _write(path: Path, vehicle: VehicleFile, changes: dict[str, object]) -> None:
+    text = edited(vehicle.text, changes)
+    checked(text, str(path))
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror}; choose another path with --out") from error
 
 
 def changed(vehicle: VehicleFile, changes: dict[str, object]) -> VehicleFile:

@@ -9,10 +9,10 @@ import { words } from "./words.js";
 const THEMES = ["auto", "light", "dark", "night"];
 const LOST_BAR_AFTER_S = 3;
 const TRY_AGAIN_MS = 2000;
-const PAGES = ["now", "map", "gnss", "charts", "trust", "toll", "recordings", "system", "settings"];
+const PAGES = ["now", "map", "gnss", "charts", "trust", "toll", "recordings", "system", "settings", "set_up"];
 const WATCHED = ["now", "map", "gnss", "trust"];
-const GO = { n: "now", m: "map", t: "trust", g: "gnss", c: "charts", l: "toll", s: "system", r: "recordings", e: "settings" }; // after the key g
-const HIDDEN = { rsu: ["now", "gnss", "charts", "trust"], obu: ["toll"] }; // pages of the other role
+const GO = { n: "now", m: "map", t: "trust", g: "gnss", c: "charts", l: "toll", s: "system", r: "recordings", e: "settings", u: "set_up" }; // after the key g
+const HIDDEN = { rsu: ["now", "gnss", "charts", "trust", "set_up"], obu: ["toll"] }; // pages of the other role
 const LATER = {
   map: () => import("./map/map.js").then((m) => m.MapPage),
   gnss: () => import("./gnss/gnss.js").then((m) => m.GnssPage),
@@ -22,6 +22,7 @@ const LATER = {
   recordings: () => import("./recordings/recordings.js").then((m) => m.RecordingsPage),
   system: () => import("./system/system.js").then((m) => m.SystemPage),
   settings: () => import("./settings/settings.js").then((m) => m.SettingsPage),
+  set_up: () => import("./set_up/set_up.js").then((m) => m.SetUpPage),
 };
 const loaded = { now: NowPage }; // the others when they are first opened
 
@@ -43,7 +44,7 @@ const go = (hash) => {
 // A unit that is seen from a control centre: what it passes on, and nothing that only it can do.
 const watch = () => state.value?.watch ?? null;
 const role = () => (state.value?.toll ? "rsu" : "obu");
-const pagesHere = () => PAGES.filter((name) => (!watch() || WATCHED.includes(name)) && !HIDDEN[role()].includes(name) && !(["recordings", "settings"].includes(name) && state.value?.replay));
+const pagesHere = () => PAGES.filter((name) => (!watch() || WATCHED.includes(name)) && !HIDDEN[role()].includes(name) && !(["recordings", "settings", "set_up"].includes(name) && state.value?.replay));
 
 // That the vehicle is seen from afar, how old the newest message is, and the way back.
 function Watch() {
@@ -125,7 +126,7 @@ function Header({ onHelp }) {
     <p class="who"><span class="dim">${words.unit}</span> ${state.value?.vehicle ?? ""}</p>
     <${Origin} />${!watch() && html`<${Watched} /><${Chain} />`}<${Clock} />
     <div class="tools">
-      ${state.value && pagesHere().includes("settings") && html`<a class="ghost icon-only to-settings" href="#/settings" aria-label=${words.pages.settings} title=${words.pages.settings}><${Icon} name="settings" /></a>`}
+      ${state.value && ["set_up", "settings"].filter((name) => pagesHere().includes(name)).map((name) => html`<a key=${name} class="ghost icon-only to-settings" href=${`#/${name}`} aria-label=${words.pages[name]} title=${words.pages[name]}><${Icon} name=${name} /></a>`)}
       ${session.value?.session && html`<button class="ghost icon-only" onClick=${logOut} aria-label=${words.logOut(session.value.name)} title=${words.logOut(session.value.name)}><${Icon} name="logOut" /></button>`}
       <button class="ghost icon-only" onClick=${() => remember({ theme: next })} aria-label=${words.themeButton(words.theme[settings.value.theme])} title=${words.theme[settings.value.theme]}><${Icon} name="sun" /></button>
       <button class="ghost icon-only" onClick=${onHelp} aria-label=${words.help} title=${words.help}><${Icon} name="help" /></button>

@@ -1,7 +1,7 @@
 // Every word of the page, in one place, so that it can be translated.
 export const words = {
   skip: "Skip to the content",
-  pages: { now: "Now", map: "Map", gnss: "GNSS", charts: "Charts", toll: "Toll", trust: "Trust", system: "System", recordings: "Recordings", settings: "Settings" },
+  pages: { now: "Now", map: "Map", gnss: "GNSS", charts: "Charts", toll: "Toll", trust: "Trust", system: "System", recordings: "Recordings", settings: "Settings", set_up: "Set up" },
   navigation: "Pages",
   unit: "OBU",
   connecting: "Connecting to the on-board unit ...",
@@ -605,6 +605,7 @@ export const words = {
       ["g r", "Recordings"],
       ["g s", "System"],
       ["g e", "Settings"],
+      ["g u", "Set up"],
       ["/", "Find a topic"],
       ["p", "Pause or resume the display"],
       ["Space", "Play or pause a replay"],

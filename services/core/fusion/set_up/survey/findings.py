@@ -136,7 +136,8 @@ def _delays(adjusted: Adjusted, settings: Settings) -> Iterator[Finding]:
     new = round(gnss.delay_s + of.delay_s, 4)
     possible = abs(new) <= LARGEST_DELAY_S
     yield _finding(Quantity.DELAY, of.delay_s, float(sd[DELAY]), new, {DELAY_KEY: new} if possible else {})
-    if "velocity" not in adjusted.residuals or sd[DELAY] > LIMITS[Quantity.DELAY].sd:  # it counts from that of positions
+    # That of velocities counts from that of positions.
+    if "velocity" not in adjusted.residuals or sd[DELAY] > LIMITS[Quantity.DELAY].sd:
         yield Finding(Quantity.VELOCITY_DELAY)
         return
     new = round(gnss.velocity_delay_s + of.velocity_lag_s, 4)
