@@ -23,7 +23,7 @@ def begin(
     out: Annotated[
         Path, typer.Option("-o", "--out", metavar="FILE", help="The vehicle's file, which must not be there.")
     ] = Path("vehicle.toml"),
-    vehicle_name: Annotated[str, typer.Option("--name", help="Name of the vehicle.")] = "car",
+    vehicle_name: Annotated[str, typer.Option("--name", metavar="NAME", help="Name of the vehicle.")] = "car",
 ) -> int:
     """Write a vehicle's file for a set of hardware, from which its set-up goes on.
 

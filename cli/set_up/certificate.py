@@ -74,9 +74,7 @@ def verify_set_up(
         return 1
     made_ns = round(datetime.fromisoformat(found["made_utc"]).timestamp() * 1e9)
     if not accepted_keys(key).accepts(found[KEY], found[PUBLIC_KEY], made_ns):
-        print(
-            f"signed by key {printable(found[KEY])}, which is not known here, or was not in use then; name it with --key"
-        )
+        print(f"signed by key {printable(found[KEY])}, which is not known, or was not in use then: --key names it")
         return 1
     print("the signature is that of a known key")
     return 0

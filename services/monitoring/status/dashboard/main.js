@@ -126,7 +126,7 @@ function Header({ onHelp }) {
     <p class="who"><span class="dim">${words.unit}</span> ${state.value?.vehicle ?? ""}</p>
     <${Origin} />${!watch() && html`<${Watched} /><${Chain} />`}<${Clock} />
     <div class="tools">
-      ${state.value && ["set_up", "settings"].filter((name) => pagesHere().includes(name)).map((name) => html`<a key=${name} class="ghost icon-only to-settings" href=${`#/${name}`} aria-label=${words.pages[name]} title=${words.pages[name]}><${Icon} name=${name} /></a>`)}
+      ${state.value && pagesHere().includes("settings") && html`<a class="ghost icon-only to-settings" href="#/settings" aria-label=${words.pages.settings} title=${words.pages.settings}><${Icon} name="settings" /></a>`}
       ${session.value?.session && html`<button class="ghost icon-only" onClick=${logOut} aria-label=${words.logOut(session.value.name)} title=${words.logOut(session.value.name)}><${Icon} name="logOut" /></button>`}
       <button class="ghost icon-only" onClick=${() => remember({ theme: next })} aria-label=${words.themeButton(words.theme[settings.value.theme])} title=${words.theme[settings.value.theme]}><${Icon} name="sun" /></button>
       <button class="ghost icon-only" onClick=${onHelp} aria-label=${words.help} title=${words.help}><${Icon} name="help" /></button>

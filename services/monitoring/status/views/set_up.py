@@ -136,11 +136,12 @@ def compared(pairs: list[tuple[float, float]]) -> tuple[float | None, float | No
     return round(ratio, 4), round(both / spread, 4) if spread > 0.0 else None
 
 
-def values(state: State) -> dict[str, str]:
-    """Settings that the steps are about."""
+def values(state: State, further: Iterable[str] = ()) -> dict[str, str]:
+    """Settings that the steps are about, and further ones, as far as this unit has them."""
+    names = {*SETTINGS, *further}
     catalogue = state.topics["settings/catalogue"].message
     rows = catalogue.settings if isinstance(catalogue, SettingsCatalogue) else ()
-    return {row.name: row.value for row in rows if row.name in SETTINGS}
+    return {row.name: row.value for row in rows if row.name in names}
 
 
 def receiver(state: State) -> Object | None:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 from fastapi import FastAPI, HTTPException, Query, Request
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -35,6 +35,7 @@ FILE_BYTES = 100_000
 JOB_S = 900.0  # after which a survey is ended
 BATCHES = 400  # of samples of which the noise is told
 IMU = "imu/sample"
+OF_SETS = frozenset(name for one in sets() for name in cast("dict[str, str]", one["settings"]))
 
 
 class Action(StrEnum):
@@ -140,7 +141,7 @@ class SetUpApi:
             if step == "imu":
                 self._note_samples()
             speed = views.speed_of(self._state, now_ns)
-            values = views.values(self._state)
+            values = views.values(self._state, OF_SETS)
             return {
                 "now_ns": now_ns,
                 "steps": views.steps(self._state, confirmed, result, now_ns),
