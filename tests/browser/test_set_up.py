@@ -70,7 +70,7 @@ def test_a_lever_arm_in_centimetres_is_written_in_metres_and_confirmed(
     page.get_by_role("button", name="Apply").click()
     assert newest(server) == {ARM: [0.3, -0.125, -1.2], "vehicle.gnss.lever_arm_sd_m": 0.02}
     page.get_by_role("button", name="This is right").click()
-    eventually(lambda: (tmp_path / KEPT_FILE).exists())
+    eventually((tmp_path / KEPT_FILE).exists)
     expect(page.locator("summary", has_text="Antenna")).to_contain_text("confirmed")
     page.reload()
     expect(page.locator("summary", has_text="Antenna")).to_contain_text("measuring, confirmed")
