@@ -7,8 +7,8 @@ from math import radians
 
 import numpy as np
 
-from services.core.fusion.settings import Settings
 from services.core.fusion.set_up.survey.arcs import rotations, skews
+from services.core.fusion.settings import Settings
 from services.sensors.simulator.drive import STEP_NS, Drive, simulate
 from services.sensors.simulator.imu.ideal_imu import attitude_matrices
 from services.sensors.simulator.vehicle import LEVER_ARM_B
@@ -28,7 +28,18 @@ BATCH = 10  # samples of a message
 FLEX_S = 0.1  # time constant of a mount that gives way
 DRIVE_S = 600.0
 # Scenario and how it is driven. On a motorway there are no bends that show an arm: the driver did not do as told.
-DRIVES = ("urban", "parking_lot", "urban", "parking_lot", "degraded", "urban", "parking_lot", "highway", "tunnel", "urban")
+DRIVES = (
+    "urban",
+    "parking_lot",
+    "urban",
+    "parking_lot",
+    "degraded",
+    "urban",
+    "parking_lot",
+    "highway",
+    "tunnel",
+    "urban",
+)
 
 
 @dataclass(frozen=True)
@@ -99,10 +110,12 @@ class Installation:
     @property
     def settings(self) -> Settings:
         """Of the filter at first."""
-        return Settings().with_values({
-            "vehicle.imu.body_from_sensor": np.eye(3).tolist(),
-            "vehicle.gnss.lever_arm_body_m": [round(float(value), 3) for value in self.believed_arm],
-        })
+        return Settings().with_values(
+            {
+                "vehicle.imu.body_from_sensor": np.eye(3).tolist(),
+                "vehicle.gnss.lever_arm_body_m": [round(float(value), 3) for value in self.believed_arm],
+            }
+        )
 
     def messages(self, settings: Settings, drive: int) -> Iterator[Message]:
         """Measurements of one of its drives, in the order of arrival, samples in the axes of the settings."""
@@ -192,7 +205,9 @@ class _Drive:
         time_s = drive.odometer_ns * 1e-9
         factor = of.scale * (1.0 + of.wind_up * (1.0 - np.exp(-time_s / 200.0)) + of.slip * pushed)
         noise = 0.03 * self._rng.standard_normal(len(at))
-        for stamp_ns, speed in zip(drive.odometer_ns.tolist(), (true[at] * factor + noise * (true[at] > 0.0)).tolist(), strict=True):
+        for stamp_ns, speed in zip(
+            drive.odometer_ns.tolist(), (true[at] * factor + noise * (true[at] > 0.0)).tolist(), strict=True
+        ):
             yield VehicleSpeed(sampled_ns=stamp_ns, received_ns=stamp_ns, source="can", speed_m_s=max(speed, 0.0))
 
 

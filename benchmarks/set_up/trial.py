@@ -7,10 +7,10 @@ import numpy as np
 
 from benchmarks.set_up.installation import Installation
 from cli.set_up.drive import motion_of
-from services.core.fusion.settings import Settings
 from services.core.fusion.set_up.findings import Verdict
 from services.core.fusion.set_up.survey.findings import Finding, Quantity, changes_of, findings_of
 from services.core.fusion.set_up.survey.survey import survey
+from services.core.fusion.settings import Settings
 from shared.maths.earth import FloatArray
 
 DRIVES = 2

@@ -13,10 +13,26 @@ from ..motion import Motion
 from ..regression import FloatArray
 from . import rows as kinds
 from .arcs import START, STEP_S, Increments, Path, Starts, path_of, rotations
-from .rows import ARM, AXLE, DELAY, FORCE_BIAS, RATE_BIAS, RATIO, SHARED, TURN, VELOCITY_LAG, Rows, Unknowns
+from .rows import (
+    ARM,
+    AXLE,
+    DELAY,
+    FORCE_BIAS,
+    RATE_BIAS,
+    RATIO,
+    SHARED,
+    SLIP,
+    TURN,
+    VELOCITY_LAG,
+    WHEEL_LAG,
+    Rows,
+    Unknowns,
+)
 
-ITERATIONS = 12
-SETTLED = 0.02  # largest step over its standard deviation, at which the search ends
+ITERATIONS = 15
+# Largest step over its standard deviation at which the search ends, and above which its result is none: what counts
+# less changes from step to step.
+SETTLED, STILL_MOVING = 0.05, 0.5
 HUBER = 2.0  # standard deviations from which on a row counts less
 GROUPS = 10  # of arcs, of which each is left out once
 MIN_ARCS = 3
@@ -30,6 +46,8 @@ SPREADS = {
 PRIOR = np.zeros(SHARED)
 PRIOR[FORCE_BIAS], PRIOR[RATE_BIAS], PRIOR[ARM] = 0.05, 0.01, 3.0
 PRIOR[DELAY], PRIOR[VELOCITY_LAG], PRIOR[TURN], PRIOR[AXLE], PRIOR[RATIO] = 1.0, 0.05, 0.5, 1.5, 0.5
+PRIOR[WHEEL_LAG], PRIOR[SLIP] = 0.3, 0.01
+ARC_FORCE_BIAS, ARC_RATE_BIAS = 0.02, 3e-4  # [m/s², rad/s] standard deviations of those of one arc
 TURNED_RAD = 0.5  # least angle of a bend whose axis is that of the road
 LAG_SDS, SAME_S = 3.0, 1e-4  # velocities whose lag is below it have that of positions
 ENDS_M_S2 = 0.3  # lateral acceleration before and behind it
@@ -42,7 +60,7 @@ class Adjusted:
     Attributes
     ----------
     of : Unknowns
-    sd : ndarray, shape (17,)
+    sd : ndarray, shape (19,)
         Order of `rows`.
     residuals : dict
         Robust standard deviation of each kind of row, and how many there were.
@@ -99,14 +117,14 @@ def adjust(motion: Motion, arcs: Increments, starts: Starts, first: Unknowns) ->
 
 
 def _searched(motion: Motion, arcs: Increments, starts: Starts, first: Unknowns, prior: FloatArray) -> Adjusted | None:
-    """Search with standard deviations of what is shared before anything is measured, shape (17,)."""
+    """Search with standard deviations of what is shared before anything is measured, shape (19,)."""
     if len(arcs.begin) < MIN_ARCS or motion.place is None:
         return None
     of, spreads = first, {name: at_first for name, (at_first, _) in SPREADS.items()}
     for iteration in range(ITERATIONS):
         path = path_of(arcs, starts, of.force_bias, of.rate_bias, motion.place)
         found = dict(_rows_of(motion, arcs.begin, path, of))
-        normals, eliminated = _normals(found, spreads, len(arcs.begin))
+        normals, eliminated = _normals(found, spreads, starts)
         bends = list(_bends(arcs, path, of))
         total = [*normals, *(_plane(bend, spreads["plane"]) for bend in bends)]
         step, formal = _solved(total, of, prior)
@@ -116,13 +134,13 @@ def _searched(motion: Motion, arcs: Increments, starts: Starts, first: Unknowns,
         starts = _moved(starts, eliminated, step, turn)
         of, arcs = of.changed(step, turn), arcs.turned(turn)
         spreads = _spreads(found, eliminated, step, bends)
-        settled = iteration > 2 and float(np.max(np.abs(step) / formal)) < SETTLED
-        if settled:
+        moved = float(np.max(np.abs(step) / formal))
+        if iteration > 2 and moved < SETTLED:
             break
     counts = {name: len(rows.z) for name, rows in found.items()} | {"plane": 2 * len(bends)}
     sd = np.maximum(formal, _jackknife(total, of, prior))
     residuals = {name: (spreads[name], count) for name, count in counts.items()}
-    return Adjusted(of, sd, residuals, len(arcs.begin), len(bends), settled)
+    return Adjusted(of, sd, residuals, len(arcs.begin), len(bends), moved < STILL_MOVING)
 
 
 def _rows_of(motion: Motion, begins: FloatArray, path: Path, of: Unknowns) -> Iterator[tuple[str, Rows]]:
@@ -137,14 +155,15 @@ def _rows_of(motion: Motion, begins: FloatArray, path: Path, of: Unknowns) -> It
 
 @dataclass(frozen=True)
 class _Eliminated:
-    """The steps of the starts, shape (k, 9), less their change with what is shared, shape (k, 9, 17)."""
+    """The steps of the starts, shape (k, 15), less their change with what is shared, shape (k, 15, 19)."""
 
     own: FloatArray
     by_shared: FloatArray
 
 
-def _normals(found: dict[str, Rows], spreads: dict[str, float], arcs: int) -> tuple[list[_Normal], _Eliminated]:
+def _normals(found: dict[str, Rows], spreads: dict[str, float], starts: Starts) -> tuple[list[_Normal], _Eliminated]:
     """Normal equations of each arc without its start."""
+    arcs = len(starts.velocity)
     N = np.zeros((arcs, START + SHARED, START + SHARED))
     b = np.zeros((arcs, START + SHARED))
     for name, rows in found.items():
@@ -158,7 +177,9 @@ def _normals(found: dict[str, Rows], spreads: dict[str, float], arcs: int) -> tu
             chosen = order[edges[arc] : edges[arc + 1]]
             N[arc] += H[chosen].T @ H[chosen]
             b[arc] += H[chosen].T @ (rows.z * root)[chosen]
-    own = slice(0, START)
+    own, weight = slice(0, START), np.repeat([ARC_FORCE_BIAS**-2, ARC_RATE_BIAS**-2], 3)
+    N[:, 9:START, 9:START] += np.diag(weight)
+    b[:, 9:START] -= weight * np.hstack([starts.force_bias, starts.rate_bias])
     inverse = np.linalg.inv(N[:, own, own] + 1e-9 * np.eye(START))
     gain = inverse @ N[:, own, START:]
     reduced = N[:, START:, START:] - N[:, START:, own] @ gain
@@ -171,10 +192,11 @@ def _solved(normals: list[_Normal], of: Unknowns, prior: FloatArray) -> tuple[Fl
     """Step and standard deviations of what is shared."""
     values = np.zeros(SHARED)
     values[FORCE_BIAS], values[VELOCITY_LAG], values[AXLE] = of.force_bias, of.velocity_lag_s, of.axle
+    values[WHEEL_LAG], values[SLIP] = of.wheel_lag_s, of.slip
     weight = 1.0 / prior**2
     N = np.sum([normal.N for normal in normals], axis=0) + np.diag(weight)
     b = np.sum([normal.b for normal in normals], axis=0)
-    drawn = [*range(FORCE_BIAS.start, FORCE_BIAS.stop), VELOCITY_LAG, *range(AXLE.start, AXLE.stop)]
+    drawn = [*range(FORCE_BIAS.start, FORCE_BIAS.stop), VELOCITY_LAG, *range(AXLE.start, AXLE.stop), WHEEL_LAG, SLIP]
     b[drawn] -= (weight * values)[drawn]
     P = np.linalg.inv(N)
     return P @ b, np.sqrt(P.diagonal())
@@ -194,8 +216,9 @@ def _jackknife(normals: list[_Normal], of: Unknowns, prior: FloatArray) -> Float
 def _moved(starts: Starts, eliminated: _Eliminated, step: FloatArray, turn: FloatArray) -> Starts:
     own = eliminated.own - eliminated.by_shared @ step
     return Starts(
-        rotations(own[:, :3]) @ starts.attitude @ turn, starts.velocity + own[:, 3:6], starts.position + own[:, 6:9]
-    )
+        rotations(own[:, :3]) @ starts.attitude @ turn, starts.velocity + own[:, 3:6], starts.position + own[:, 6:9],
+        (starts.force_bias + own[:, 9:12]) @ turn, (starts.rate_bias + own[:, 12:15]) @ turn,
+    )  # fmt: skip
 
 
 def _spreads(

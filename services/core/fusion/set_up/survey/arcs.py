@@ -32,7 +32,7 @@ SPAN_S, SHORT_S = 20.0, 10.0  # of an arc, and where a drive has few
 FEW = 8  # arcs
 MOVING_M_S = 3.0  # from here on a course is a direction
 MIN_FIXES = 6  # in an arc
-START = 9  # unknowns of the start of an arc: attitude, velocity, position
+START = 15  # unknowns of an arc: attitude, velocity, position at its start, and what its biases differ from the mean
 
 
 @dataclass(frozen=True)
@@ -58,11 +58,17 @@ class Increments:
 
 @dataclass(frozen=True)
 class Starts:
-    """Attitude (NED from body), velocity [m/s, NED] and position [m, NED] at the beginning of k arcs."""
+    """Attitude (NED from body), velocity [m/s, NED] and position [m, NED] at the beginning of k arcs.
+
+    `force_bias` and `rate_bias` [m/s², rad/s; body] are what the mean errors of an arc differ from the biases by: bias
+    instability, and noise, whose integral is nearly a straight line over an arc.
+    """
 
     attitude: FloatArray  # shape (k, 3, 3)
     velocity: FloatArray  # shape (k, 3)
     position: FloatArray  # shape (k, 3)
+    force_bias: FloatArray  # shape (k, 3)
+    rate_bias: FloatArray  # shape (k, 3)
 
 
 @dataclass(frozen=True)
@@ -128,7 +134,8 @@ def starts_of(arcs: Increments, motion: Motion, velocities: Velocities, bias: Fl
     ned = np.nan_to_num(velocities.ned)
     velocity = np.column_stack([np.interp(arcs.begin, middle, ned[:, axis]) for axis in range(3)])
     time, *track = motion.positions.T
-    return Starts(attitude, velocity, np.column_stack([np.interp(arcs.begin, time, axis) for axis in track]))
+    position = np.column_stack([np.interp(arcs.begin, time, axis) for axis in track])
+    return Starts(attitude, velocity, position, np.zeros_like(velocity), np.zeros_like(velocity))
 
 
 def path_of(arcs: Increments, starts: Starts, force_bias: FloatArray, rate_bias: FloatArray, place: Geodetic) -> Path:
@@ -146,7 +153,8 @@ def path_of(arcs: Increments, starts: Starts, force_bias: FloatArray, rate_bias:
         Where the arcs are, for gravity and the rotation of the Earth; that of the local frame against it is left out.
     """
     earth = np.array(earth_rate_n(place.latitude))
-    rate, force = arcs.rate - rate_bias, arcs.force - force_bias
+    rate = arcs.rate - rate_bias - starts.rate_bias[:, np.newaxis]
+    force = arcs.force - force_bias - starts.force_bias[:, np.newaxis]
     turns, earth_turn = rotations(rate * STEP_S), rotations(-earth * STEP_S)
     attitude = np.empty((len(arcs.begin), rate.shape[1] + 1, 3, 3))
     attitude[:, 0] = starts.attitude

@@ -12,10 +12,10 @@ from .arcs import START, STEP_S, Path, skews
 IntArray = npt.NDArray[np.int64]
 
 # Places of what is the same in all arcs.
-FORCE_BIAS, RATE_BIAS, ARM, DELAY, VELOCITY_LAG, TURN, AXLE, RATIO = (
-    slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, slice(11, 14), slice(14, 16), 16,
+FORCE_BIAS, RATE_BIAS, ARM, DELAY, VELOCITY_LAG, TURN, AXLE, RATIO, WHEEL_LAG, SLIP = (
+    slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, slice(11, 14), slice(14, 16), 16, 17, 18,
 )  # fmt: skip
-SHARED = 17
+SHARED = 19
 POSITION_S, VELOCITY_S, CONSTRAINT_S = 0.45, 0.18, 0.5  # least time between two rows of a kind
 ROLLING_M_S = 2.0  # from here on wheels do not slide sideways
 STRAIGHT_M_S2 = 0.5  # of lateral acceleration, up to which a body on springs does not roll
@@ -39,6 +39,8 @@ class Unknowns:
         [m, body] From the IMU to the rear axle, forward and right.
     ratio : float
         Of the speed of the wheels to the true one.
+    wheel_lag_s, slip : float
+        [s, 1/(m/s²)] By which speeds of the wheels are early, and the change of their ratio with acceleration.
     matrix : ndarray, shape (3, 3)
         Columns are the vehicle's axes in those with which the search began.
     """
@@ -50,10 +52,12 @@ class Unknowns:
     velocity_lag_s: float = 0.0
     axle: FloatArray = field(default_factory=lambda: np.zeros(2))
     ratio: float = 1.0
+    wheel_lag_s: float = 0.0
+    slip: float = 0.0
     matrix: FloatArray = field(default_factory=lambda: np.eye(3))
 
     def changed(self, step: FloatArray, turn: FloatArray) -> "Unknowns":
-        """After a step, shape (17,), with axes turned by a rotation, whose columns are the new axes in the old ones."""
+        """After a step, shape (19,), with axes turned by a rotation, whose columns are the new axes in the old ones."""
         return replace(
             self,
             force_bias=turn.T @ (self.force_bias + step[FORCE_BIAS]),
@@ -63,6 +67,8 @@ class Unknowns:
             velocity_lag_s=self.velocity_lag_s + float(step[VELOCITY_LAG]),
             axle=self.axle + step[AXLE],
             ratio=self.ratio + float(step[RATIO]),
+            wheel_lag_s=self.wheel_lag_s + float(step[WHEEL_LAG]),
+            slip=self.slip + float(step[SLIP]),
             matrix=self.matrix @ turn,
         )
 
@@ -73,8 +79,8 @@ class Rows:
 
     arc: IntArray  # shape (m,)
     z: FloatArray  # shape (m,)
-    start: FloatArray  # shape (m, 9)
-    shared: FloatArray  # shape (m, 17)
+    start: FloatArray  # shape (m, 15)
+    shared: FloatArray  # shape (m, 19)
     spread: FloatArray  # shape (m,)
 
 
@@ -188,13 +194,18 @@ def speeds(motion: Motion, begins: FloatArray, path: Path, of: Unknowns) -> list
     rolling = (at.body_velocity[:, 0] > ROLLING_M_S) & (wheel > ROLLING_M_S)
     at, wheel = _chosen(at, rolling), wheel[rolling]
     ahead = at.body_velocity[:, 0] - at.rate[:, 2] * of.axle[1]
+    pushed = np.einsum("nji,nj->ni", at.attitude, at.force + np.array([0.0, 0.0, 9.81]))[:, 0]
+    seen = ahead + pushed * (of.wheel_lag_s + of.slip * ahead)
     by = of.ratio * at.body_velocity_by()[:, :1]
     shared = _shared(by, RATE_BIAS.stop)
     shared[:, 0, AXLE.start + 1] = -of.ratio * at.rate[:, 2]
-    shared[:, 0, RATIO] = ahead
-    pushed = np.einsum("nji,nj->ni", at.attitude, at.force + np.array([0.0, 0.0, 9.81]))[:, 0]
+    shared[:, 0, RATIO], shared[:, 0, WHEEL_LAG], shared[:, 0, SLIP] = (
+        seen,
+        of.ratio * pushed,
+        of.ratio * pushed * ahead,
+    )
     spread = 1.0 + np.abs(pushed) / ALONG_M_S2 + np.abs(at.lateral) / LATERAL_M_S2
-    return [_rows(at, (wheel - of.ratio * ahead)[:, np.newaxis], by, shared, spread)]
+    return [_rows(at, (wheel - of.ratio * seen)[:, np.newaxis], by, shared, spread)]
 
 
 def _level(at: Moments, arcs: int) -> list[Rows]:
@@ -205,7 +216,7 @@ def _level(at: Moments, arcs: int) -> list[Rows]:
     found = []
     for axis in (1, 0):  # the right axis points down by the roll, the forward axis up by the pitch
         lean = straight.attitude[:, 2, axis]
-        by = np.zeros((len(lean), START + 6))
+        by = np.zeros((len(lean), START))
         row = straight.attitude[:, [1, 0], axis] * np.array([1.0, -1.0])  # of [phi x] C, last row
         by += row[:, :1] * straight.attitude_by[:, 0] + row[:, 1:] * straight.attitude_by[:, 1]
         z, mean_by = (_means(values, straight.arc, arcs)[arc] for values in (-lean[:, np.newaxis], by))
@@ -238,9 +249,9 @@ def _chosen(at: Moments, which: npt.NDArray[np.bool_]) -> Moments:
 
 
 def _shared(by: FloatArray, biases: int) -> FloatArray:
-    """Derivatives by what is shared, of which those by the biases are known; shape (n, rows, 17)."""
+    """Derivatives by what is shared, of which those by the biases are known; shape (n, rows, 19)."""
     found = np.zeros((*by.shape[:2], SHARED))
-    found[..., :biases] = by[..., START:]
+    found[..., :biases] = by[..., START - biases :]
     return found
 
 
