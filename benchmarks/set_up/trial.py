@@ -1,7 +1,7 @@
 """One wrong installation through the wizard: a drive, its findings applied, another drive, and what is left."""
 
 from dataclasses import dataclass
-from math import degrees
+from math import atan2, degrees
 
 import numpy as np
 
@@ -88,4 +88,5 @@ def angle_of(turn: FloatArray) -> float:
     """Angle of a rotation [rad]; half a turn of one that mirrors."""
     if np.linalg.det(turn) < 0.0:
         return float(np.pi)
-    return float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
+    sine = 0.5 * float(np.linalg.norm(turn - turn.T)) / 2.0**0.5
+    return atan2(sine, 0.5 * (float(np.trace(turn)) - 1.0))
