@@ -77,9 +77,7 @@ def test_a_lever_arm_in_centimetres_is_written_in_metres_and_confirmed(
 
 
 @pytest.mark.parametrize("text", ["", "1e3", "twelve", "9999999"])
-def test_what_is_no_length_cannot_be_applied(
-    server: RunningServer, open_page: Callable[..., Page], text: str
-) -> None:
+def test_what_is_no_length_cannot_be_applied(server: RunningServer, open_page: Callable[..., Page], text: str) -> None:
     page = open_page(server.address, path="set_up?step=antenna")
     page.get_by_label("forward [cm]").fill(text)
     expect(page.get_by_role("button", name="Apply")).to_be_disabled()
@@ -105,9 +103,7 @@ def test_a_phone_in_german_leads_in_german(server: RunningServer, open_page: Cal
     expect(page.get_by_text("Achse x des Geräts zeigt nach vorn, y nach links, z nach oben")).to_be_visible()
 
 
-def test_while_the_vehicle_moves_nothing_but_the_drive_is_shown(
-    tmp_path: Path, open_page: Callable[..., Page]
-) -> None:
+def test_while_the_vehicle_moves_nothing_but_the_drive_is_shown(tmp_path: Path, open_page: Callable[..., Page]) -> None:
     with status_server(tmp_path) as moving:
         page = open_page(moving.address, theme="phone", path="set_up?step=antenna")
         expect(page.get_by_text("only the drive is shown")).to_be_visible()

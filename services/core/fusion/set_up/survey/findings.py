@@ -18,7 +18,7 @@ from .survey import Survey
 
 ARM_KEY, DELAY_KEY = "vehicle.gnss.lever_arm_body_m", "core.fusion.gnss.delay_s"
 VELOCITY_DELAY_KEY, SCALE_KEY = "core.fusion.gnss.velocity_delay_s", "core.fusion.odometer.scale"
-SIGNIFICANT_SDS = 2.0  # of a difference that is one
+SIGNIFICANT_SDS = 3.0  # of a difference that is one: the size of two or three axes is held against the sd of the worst
 LARGEST_DELAY_S = 2.0  # and velocity delay 1 s: what the settings hold
 FITS = {"velocity": 1.0, "lateral": 0.6, "off the road": 0.6}  # [m/s] residuals of a drive that the model describes
 

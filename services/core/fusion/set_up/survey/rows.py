@@ -199,6 +199,8 @@ def speeds(motion: Motion, begins: FloatArray, path: Path, of: Unknowns) -> list
     by = of.ratio * at.body_velocity_by()[:, :1]
     shared = _shared(by, RATE_BIAS.stop)
     shared[:, 0, AXLE.start + 1] = -of.ratio * at.rate[:, 2]
+    shared[:, 0, TURN.start + 1] = -of.ratio * at.body_velocity[:, 2]
+    shared[:, 0, TURN.start + 2] = of.ratio * at.body_velocity[:, 1]
     shared[:, 0, RATIO], shared[:, 0, WHEEL_LAG], shared[:, 0, SLIP] = (
         seen,
         of.ratio * pushed,
