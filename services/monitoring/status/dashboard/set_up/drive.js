@@ -113,5 +113,6 @@ export function Drive({ report, may, act, change, changing }) {
       ${pending.length ? html`<${Proposal} pending=${pending} values=${values} />
         <button disabled=${!may.admin || changing} onClick=${() => change(changes)}>${w.apply(pending.length)}</button>`
       : html`<p>${survey.applied.length ? w.appliedWhy : w.nothing}</p>`}`}
+    ${survey.result && html`<details><summary>${w.certificate}</summary><p class="note">${w.certificateWhy}</p><p><code>obu set-up ${survey.result.recording} --certificate ${JSON.parse(values["vehicle.name"] ?? '"car"')}.pdf</code></p></details>`}
     ${checks.length > 0 && html`<details><summary>${w.checks}</summary><ul class="checks long">${checks.map((c) => html`<li><${Icon} name=${VERDICT[c.verdict]} /><span>${c.sentence || c.name.replaceAll("_", " ")}</span> <span class="dim">${w.verdicts[c.verdict]}</span></li>`)}</ul></details>`}`;
 }
