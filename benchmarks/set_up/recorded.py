@@ -30,7 +30,7 @@ MAPPINGS, VEHICLES = (ROOT / "benchmarks" / "recordings" / name for name in ("ma
 class Source:
     """A recording: its mapping, folder, the seconds of it that are used, and what is documented of it.
 
-    `arm` [m, body], `ratio` the indicated over the true speed; None: not documented.
+    `arm` [m, body], `ratio` the indicated over the true speed, `delay_s` of the fixes; None: not documented.
     """
 
     mapping: str
@@ -38,6 +38,7 @@ class Source:
     window_s: tuple[float, float] = (0.0, 1e9)
     arm: tuple[float, float] | None = None
     ratio: float | None = None
+    delay_s: float | None = 0.0
 
 
 RTK_RATIO = 1.005  # "an unknown scale error of 0.5 %": its size is documented, and by the truth its sign is this one
@@ -54,7 +55,7 @@ SOURCES = {
         "rtk_drive_57min", "rtk_drive_57min/mems_spp_100hz", (300.0, 1200.0), ARM, RTK_RATIO
     ),
     "comma, 60 s": Source("comma_segment", "comma_segment", ratio=COMMA_RATIO),
-    "navmatlab, kept aside": Source("navmatlab_car", "navmatlab_car"),
+    "navmatlab, kept aside": Source("navmatlab_car", "navmatlab_car", delay_s=None),
 }
 ASIDE = "navmatlab, kept aside"
 
@@ -105,7 +106,8 @@ class Found:
     delay_sd_s: float | None
     ratio: float | None
     ratio_sd: float | None
-    wrote: tuple[str, ...]
+    wrote: tuple[str, ...]  # quantities whose settings are changed
+    known: tuple[str, ...]
 
 
 def found_in(data: str, recording: str, falsified: str) -> Found:
@@ -120,17 +122,14 @@ def found_in(data: str, recording: str, falsified: str) -> Found:
         findings = {one.quantity: one for one in findings_of(shown, settings)}
     known = {quantity: one for quantity, one in findings.items() if one.verdict is not Verdict.UNKNOWN}
     of = shown.adjusted.of if shown.adjusted else None
-    mounting, arm, delay, scale = (
-        known.get(quantity)
-        for quantity in (Quantity.MOUNTING, Quantity.LEVER_ARM, Quantity.DELAY, Quantity.ODOMETER_SCALE)
-    )
-    matrix = None if shown.matrix is None or mounting is None else (how.matrix.T @ shown.matrix).tolist()
+    sds = {quantity: one.sd for quantity, one in findings.items()}
+    matrix = None if shown.matrix is None else (how.matrix.T @ shown.matrix).tolist()
     return Found(
-        recording, falsified, matrix, mounting.sd if mounting else None,
-        (float(of.arm[0]), float(of.arm[1])) if of and arm else None, arm.sd if arm else None,
-        of.delay_s - how.late_s if of and delay else None, delay.sd if delay else None,
-        of.ratio / how.scale if of and scale else None, scale.sd if scale else None,
-        tuple(quantity.value for quantity, one in known.items() if one.changes),
+        recording, falsified, matrix if Quantity.MOUNTING in known else None, sds[Quantity.MOUNTING],
+        (float(of.arm[0]), float(of.arm[1])) if of and Quantity.LEVER_ARM in known else None, sds[Quantity.LEVER_ARM],
+        of.delay_s - how.late_s if of and Quantity.DELAY in known else None, sds[Quantity.DELAY],
+        of.ratio / how.scale if of and Quantity.ODOMETER_SCALE in known else None, sds[Quantity.ODOMETER_SCALE],
+        tuple(quantity.value for quantity, one in known.items() if one.changes), tuple(known),
     )  # fmt: skip
 
 
