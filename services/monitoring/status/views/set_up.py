@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from math import atan2, degrees, hypot, sqrt
-from statistics import fmean, pstdev
+from statistics import fmean, median, pstdev
 
 from shared.maths.rotation import Vector
 from shared.messages.corrections import CorrectionsState
@@ -30,7 +30,7 @@ SETTINGS = (
 )  # fmt: skip
 OF_IMU = ("accelerometer_scale", "imu_upright", "imu_axes", "imu_mounting", "gyroscope_axes", "gyroscope_bias")
 STILL_RAD_S, STILL_M_S2 = 0.02, 0.35  # spread of samples while nothing moves, the engine may run
-ENOUGH_SAMPLES = 200
+ENOUGH_SAMPLES, SHOWN = 200, 50
 # Angle random walk [rad/√s] up to which a sensor is of a grade: between those of data sheets of each.
 GRADES = ((5e-5, "tactical"), (1.6e-4, "industrial"), (4e-4, "automotive"))
 
@@ -54,7 +54,7 @@ def devices(state: State, now_ns: int) -> list[DeviceShown]:
     """Bytes of every configured device."""
     shown: list[DeviceShown] = []
     for name in sorted(state.expected):
-        for topic in BY_NAME[name].produces if name in BY_NAME else ():
+        for topic in BY_NAME[name].produces if name.startswith("sensors.") and name in BY_NAME else ():
             if not TOPICS[topic].is_raw:
                 continue
             flow = state.topics[topic]
@@ -77,30 +77,29 @@ def speed_of(state: State, now_ns: int) -> float | None:
 
 
 def level(batches: Iterable[ImuSamples]) -> LevelShown | None:
-    """Attitude of the unit at rest by gravity, and the noise of its sensors, of some batches of samples.
+    """Attitude of the unit at rest by gravity, and the noise of its sensors, of successive samples.
 
-    The noise is that of successive differences, which a slow change does not enter.
+    The noise is that of differences between neighbours, which a slow change does not enter.
     """
-    kept = list(batches)
-    if not kept:
+    stamps, forces, rates = _samples(batches)
+    if not stamps:
         return None
-    newest = kept[-1].specific_force_body_m_s2
+    newest = forces[-SHOWN:]
     x, y, z = (fmean(axis) for axis in zip(*newest, strict=True))
-    spreads = [[pstdev(axis) for axis in zip(*batch, strict=True)] for batch in _vectors(kept)]
-    rates = [batch.angular_rate_body_rad_s for batch in kept]
-    count = sum(len(batch.sampled_ns) for batch in kept)
-    still = all(spread < STILL_M_S2 for row in spreads for spread in row) and _is_slow(rates)
-    enough = still and count >= ENOUGH_SAMPLES
-    walks = _walks(kept) if enough else None
+    still = _is_still(newest, STILL_M_S2) and _is_still(rates, STILL_RAD_S)
+    step_s = 1e-9 * median(after - before for before, after in pairwise(stamps)) if len(stamps) > 1 else 0.0
+    enough = still and len(stamps) >= ENOUGH_SAMPLES and step_s > 0.0
+    force_walk, rate_walk = (_walk(stamps, vectors, step_s) if enough else None for vectors in (forces, rates))
+    grade = None if rate_walk is None else next((name for most, name in GRADES if rate_walk <= most), "consumer")
     return {
         "roll_deg": round(degrees(atan2(-y, -z)), 2),
         "pitch_deg": round(degrees(atan2(x, hypot(y, z))), 2),
         "force_m_s2": round(hypot(x, y, z), 3),
         "still": still,
-        "seconds": round(count * _step_s(kept), 1),
-        "force_noise": walks[0] if walks else None,
-        "rate_noise": walks[1] if walks else None,
-        "grade": next((name for most, name in GRADES if walks[1] <= most), "consumer") if walks else None,
+        "seconds": round(len(stamps) * step_s, 1),
+        "force_noise": force_walk,
+        "rate_noise": rate_walk,
+        "grade": grade,
     }
 
 
@@ -257,32 +256,30 @@ def _pairs(history: Mapping[str, object]) -> list[tuple[float, float]]:
     return [(a, b) for a, b in both if a is not None and b is not None]
 
 
-def _vectors(batches: list[ImuSamples]) -> Iterable[tuple[Vector, ...]]:
-    return (batch.specific_force_body_m_s2 for batch in batches)
+def _samples(batches: Iterable[ImuSamples]) -> tuple[list[int], list[Vector], list[Vector]]:
+    """Stamps [ns], forces [m/s²] and rates [rad/s] of batches, one after the other."""
+    stamps: list[int] = []
+    forces: list[Vector] = []
+    rates: list[Vector] = []
+    for batch in batches:
+        stamps += batch.sampled_ns
+        forces += batch.specific_force_body_m_s2
+        rates += batch.angular_rate_body_rad_s
+    return stamps, forces, rates
 
 
-def _is_slow(rates: list[tuple[Vector, ...]]) -> bool:
-    means = [[fmean(axis) for axis in zip(*batch, strict=True)] for batch in rates]
-    return all(pstdev(axis) < STILL_RAD_S for axis in zip(*means, strict=True))
+def _is_still(vectors: list[Vector], most: float) -> bool:
+    return all(pstdev(axis) < most for axis in zip(*vectors, strict=True))
 
 
-def _step_s(batches: list[ImuSamples]) -> float:
-    spans = [(b.sampled_ns[-1] - b.sampled_ns[0], len(b.sampled_ns) - 1) for b in batches if len(b.sampled_ns) > 1]
-    return 1e-9 * sum(span for span, _ in spans) / sum(steps for _, steps in spans) if spans else 0.0
-
-
-def _walks(batches: list[ImuSamples]) -> tuple[float, float] | None:
-    """Velocity and angle random walk of the worst axis: of white noise, differences have twice its variance."""
-    step_s = _step_s(batches)
-    if step_s <= 0.0:
+def _walk(stamps: list[int], vectors: list[Vector], step_s: float) -> float | None:
+    """Random walk of the worst axis: of white noise, differences between neighbours have twice its variance."""
+    pairs = [
+        (vectors[place], vectors[place + 1])
+        for place, (before, after) in enumerate(pairwise(stamps))
+        if after - before < 1.5e9 * step_s
+    ]
+    if not pairs:
         return None
-    found = []
-    for vectors in ([b.specific_force_body_m_s2 for b in batches], [b.angular_rate_body_rad_s for b in batches]):
-        squares = [
-            [(after[axis] - before[axis]) ** 2 for batch in vectors for before, after in pairwise(batch)]
-            for axis in range(3)
-        ]
-        if not squares[0]:
-            return None
-        found.append(max(sqrt(0.5 * fmean(axis)) for axis in squares) * sqrt(step_s))
-    return found[0], found[1]
+    worst = max(fmean((after[axis] - before[axis]) ** 2 for before, after in pairs) for axis in range(3))
+    return sqrt(0.5 * worst * step_s)

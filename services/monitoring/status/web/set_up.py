@@ -8,15 +8,18 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from enum import StrEnum
 from pathlib import Path
+from threading import Lock
 from typing import Annotated, cast
 
 from fastapi import FastAPI, HTTPException, Query, Request
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from shared.bounded import load_json, read_bytes
+from shared.bus.bus import Envelope
+from shared.errors import BadPayload
 from shared.library.library import Library
 from shared.messages.imu import ImuSamples
 from shared.page import body
@@ -33,7 +36,8 @@ log = logging.getLogger(__name__)
 KEPT_FILE, RESULT_FILE, LOG_FILE = "set_up.json", "survey.json", "survey.log"
 FILE_BYTES = 100_000
 JOB_S = 900.0  # after which a survey is ended
-BATCHES = 400  # of samples of which the noise is told
+BATCHES = 2000  # of samples of which the noise is told: 20 s of a sensor that sends each by itself
+FORGOTTEN_NS = 10_000_000_000
 IMU = "imu/sample"
 OF_SETS = frozenset(name for one in sets() for name in cast("dict[str, str]", one["settings"]))
 
@@ -120,6 +124,7 @@ class SetUpApi:
         self._library, self._open_name = library, open_name
         self._kept, self.survey = folder / KEPT_FILE, Survey(folder / "jobs")
         self._batches: deque[ImuSamples] = deque(maxlen=BATCHES)
+        self._of_samples = Lock()
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
@@ -135,11 +140,16 @@ class SetUpApi:
         """Every step with its state; `step=imu` lets the samples of the IMU come for 5 s."""
         if step == "imu":
             look_at(self._state, self._lock, self._now_ns, (IMU,))
+            with self._lock:
+                envelopes = list(self._state.samples)
+                self._state.samples.clear()
+            with self._of_samples:
+                self._note_samples(envelopes)
+                shown = views.level(self._batches)
+        running = self.survey.running  # first: it takes up the result of a survey that has ended
         result, confirmed = self.survey.result(), self._confirmed()
         with self._lock:
             now_ns = self._now_ns()
-            if step == "imu":
-                self._note_samples()
             speed = views.speed_of(self._state, now_ns)
             values = views.values(self._state, OF_SETS)
             return {
@@ -148,13 +158,13 @@ class SetUpApi:
                 "speed_m_s": speed,
                 "moving": speed is not None and speed > views.MOVING_M_S,
                 "devices": views.devices(self._state, now_ns),
-                "level": views.level(self._batches) if step == "imu" else None,
+                "level": shown if step == "imu" else None,
                 "signals": views.signals(self._state, now_ns),
                 "corrections": views.corrections(self._state, now_ns),
                 "receiver": views.receiver(self._state),
                 "values": values,
                 "sets": sets(),
-                "survey": self._survey_shown(result, values),
+                "survey": self._survey_shown(result, values, running=running),
             }
 
     async def command(self, request: Request) -> AcceptedRequest:
@@ -195,20 +205,21 @@ class SetUpApi:
         """The recording in progress, otherwise the newest one."""
         return self._open_name() or max(self._library.entries, default=None)
 
-    def _survey_shown(self, result: Object | None, values: dict[str, str]) -> SurveyShown:
-        running = self.survey.running
+    def _survey_shown(self, result: Object | None, values: dict[str, str], *, running: bool) -> SurveyShown:
         return {
             "running": running, "comparing": running and self.survey.comparing, "failed": self.survey.failed,
             "result": result, "applied": applied(result, values), "recording": self._recording(),
         }  # fmt: skip
 
-    def _note_samples(self) -> None:
-        newest = self._state.topics[IMU].message
-        if not isinstance(newest, ImuSamples) or (self._batches and self._batches[-1].sampled_ns == newest.sampled_ns):
-            return
-        if self._batches and newest.sampled_ns[0] - self._batches[-1].sampled_ns[-1] > 10_000_000_000:
-            self._batches.clear()  # nobody has looked for a while
-        self._batches.append(newest)
+    def _note_samples(self, envelopes: list[Envelope]) -> None:
+        for envelope in envelopes:
+            with suppress(BadPayload):
+                newest = envelope.decode()
+                if not isinstance(newest, ImuSamples):
+                    continue
+                if self._batches and newest.sampled_ns[0] - self._batches[-1].sampled_ns[-1] > FORGOTTEN_NS:
+                    self._batches.clear()  # nobody has looked for a while
+                self._batches.append(newest)
 
     def _confirmed(self) -> dict[str, int]:
         kept = _read(self._kept) or {}
