@@ -1,7 +1,7 @@
 """Recordings of public data sets, falsified in their files before the import, and what a survey finds of it.
 
 Documented are the lever arm and the stamps of `rtk_drive_57min`, the age of the fixes and the speed of `comma_segment`,
-and the mounting of `navmatlab_car`, which was kept aside: it was surveyed once, when all else was done.
+and the mounting of `navmatlab_car`, which was kept aside: nothing was made or changed by what is found of it.
 """
 
 import shutil
