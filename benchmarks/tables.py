@@ -37,6 +37,7 @@ TABLES = {
     "benchmarks/results/parsing.md": Table("benchmarks.parsing", "python -m benchmarks.parsing"),
     "benchmarks/results/replay.md": Table("benchmarks.replay", "make bench-replay"),
     "benchmarks/results/security.md": Table("benchmarks.security.__main__", "make security"),
+    "benchmarks/results/set_up.md": Table("benchmarks.set_up.report", "python -m benchmarks.set_up"),
     "benchmarks/results/starts.md": Table("benchmarks.starts.report", "make starts"),
     "benchmarks/results/toll_campaign.md": Table("benchmarks.toll_campaign", "python -m benchmarks.toll_campaign"),
     "benchmarks/results/toll_honest.md": Table("benchmarks.v2x.honest", "python -m benchmarks.v2x.honest"),

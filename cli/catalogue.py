@@ -36,6 +36,10 @@ ENTRIES = (
         RUN, "command",
         "Send a command to the unit that runs on this computer, and print whether it is accepted, done or failed.",
     ),
+    Entry(
+        RUN, "set-up",
+        "Measure mounting, lever arm, delays and odometer scale from a drive, and propose settings.",
+    ),
     Entry(RUN, "calibrate", "Learn settings of the unit from recorded drives."),
     Entry(RUN, "config", "List, read and change the settings of a vehicle's file, and take changes back."),
     Entry(RUN, "migrate", "Rewrite a vehicle's file of an earlier version; comments and order stay."),
@@ -109,6 +113,10 @@ ENTRIES = (
         "bytewise.",
     ),
     Entry(
+        SAFE, "verify-set-up",
+        "Check the signature of a certificate of an installation, and print what it says.",
+    ),
+    Entry(
         SAFE, "verify-toll",
         "Derive each charge again from its evidence, compare it bit for bit, and check chain and signatures.",
     ),
@@ -143,6 +151,7 @@ COMMANDS = {
     "verify": ("recordings.verify", "verify"),
     "verify-toll": ("verify_toll", "verify_toll"),
     "migrate": ("migrate", "migrate"),
+    "config begin": ("config.sets", "begin"),
     "config list": ("config.config", "list_settings"),
     "config get": ("config.config", "get"),
     "config set": ("config.config", "set_values"),
@@ -179,6 +188,8 @@ COMMANDS = {
     "papers cooperative": ("commands.papers", "cooperative"),
     "papers spoofing": ("commands.papers", "spoofing"),
     "papers toll": ("commands.papers", "toll"),
+    "set-up": ("set_up.set_up", "set_up"),
+    "verify-set-up": ("set_up.certificate", "verify_set_up"),
     "calibrate imu": ("calibrate.imu", "calibrate_imu"),
     "calibrate spoofing": ("calibrate.spoofing", "calibrate_spoofing"),
     "token list": ("token", "list_tokens"),

@@ -43,7 +43,7 @@ DEMOS = (  # arguments, the topic that is waited for, the pages
     (
         ("--scenario", "urban"),
         "navigation/solution",
-        ("now", "map", "gnss", "charts", "trust", "recordings", "system", "settings"),
+        ("now", "map", "gnss", "charts", "trust", "recordings", "system", "settings", "set_up"),
     ),
     (("--role", "rsu"), "toll/tracks", ("toll",)),
 )

@@ -118,7 +118,7 @@ def test_every_page_of_the_dashboard_has_name_key_module_and_picture(name: str) 
     key = re.search(rf'(\w): "{name}"', javascript("main.js", "GO"))
     assert key and f'["g {key[1]}", ' in (DASHBOARD / "words.js").read_text(), "its key in the help: `rows` of words.js"
     assert f"{name}:" in javascript("main.js", "LATER") + javascript("main.js", "loaded"), "a module in `LATER`"
-    title = re.search(rf'\b{name}: "(\w+)"', javascript("words.js", "pages"))
+    title = re.search(rf'\b{name}: "([^"]+)"', javascript("words.js", "pages"))
     assert title and f"| *{title[1]}* |" in page("reference/pages.md"), "a row in docs/reference/pages.md"
     assert re.search(rf"^  {name}: html", (DASHBOARD / "parts.js").read_text(), re.MULTILINE), "an icon in parts.js"
     assert name in {taken for *_, names in DEMOS for taken in names}, "a picture: DEMOS of docs/picture.py"

@@ -13,7 +13,7 @@ from tests.support.dashboard.fake_unit import SIMULATED
 from tests.support.dashboard.status_server import RunningServer, eventually, status_server
 from tests.support.v2x.fake_plaza import FakePlaza
 
-PAGES = ("now", "map", "gnss", "charts", "trust", "recordings", "system", "settings")
+PAGES = ("now", "map", "gnss", "charts", "trust", "recordings", "system", "settings", "set_up")
 # Phones, and the narrowest screen of each layout.
 SIZES = ((320, 640), (390, 844), (701, 900), (1001, 800), (1241, 800), (1360, 850))
 # Texts of the page that something else is drawn over: each is brought to the middle of the screen and looked for there.

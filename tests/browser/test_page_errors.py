@@ -14,7 +14,7 @@ from tests.support.dashboard.fake_unit import EVIDENCE_TESTS, SIMULATED
 from tests.support.dashboard.status_server import RunningServer, eventually, status_server
 
 FAILED = "This part of the page cannot be shown"
-PAGES = ("now", "map", "gnss", "charts", "trust", "recordings", "system", "settings")
+PAGES = ("now", "map", "gnss", "charts", "trust", "recordings", "system", "settings", "set_up")
 KILLED = tuple(name for name in SIMULATED if name != "monitoring.status")  # which serves the pages
 STATUS = """async (process) => {
   const { state } = await import(new URL("store.js", document.baseURI));

@@ -8,7 +8,8 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from queue import Queue
+from typing import Any, Literal
 
 import uvicorn
 from pydantic import Field, field_validator
@@ -41,6 +42,7 @@ from .web.recordings import Action, Job, RecordingsApi
 from .web.replay import ReplayApi
 from .web.routes import LIMITED_LOGS, Api, ClientStreams, make_app
 from .web.series import SeriesApi
+from .web.set_up import SetUpApi
 from .web.settings import SettingsApi
 from .web.simulation import SimulationApi
 from .web.stream.events import Events
@@ -145,9 +147,12 @@ class Process:
             Job((bus.state_dir / "jobs").resolve(), tokens_folder(bus.state_dir).resolve()),
         )
         allowed = frozenset(map(Action, () if self._config.replay else self._config.recordings))
-        recordings = RecordingsApi(library, job, allowed, partial(open_name, state))
+        recordings, set_up = (
+            RecordingsApi(library, job, allowed, partial(open_name, state)),
+            SetUpApi(state, lock, now_ns, bus.state_dir.resolve(), library, partial(open_name, state)),
+        )
         server = self._make_server(
-            state, lock, bus, now_ns, (simulation, replay, recordings, operator, unit_settings, errors)
+            state, lock, bus, now_ns, (simulation, replay, recordings, operator, unit_settings, errors, set_up)
         )
         thread = threading.Thread(target=server.run, args=([listener],), name="web", daemon=True)
         threading.Thread(target=read_pasts, args=(bus, state, lock), name="past", daemon=True).start()
@@ -168,15 +173,14 @@ class Process:
             records = state.unsaved()
             if kept:
                 kept.append(records)
-            for commands in (simulation.commands, replay.commands, operator.commands, unit_settings.commands):
-                while not commands.empty():
-                    bus.publish(commands.get_nowait())
+            publish(bus, simulation.commands, replay.commands, operator.commands, unit_settings.commands)
             count(errors, bus)
             if not thread.is_alive():
                 raise ObuError("the web server has ended; the line before says why")
         server.should_exit = True
         library.stop()
         job.stop()
+        set_up.survey.stop()
         thread.join(3.0)
         address_file(bus.state_dir).unlink(missing_ok=True)
 
@@ -186,7 +190,7 @@ class Process:
         lock: threading.Lock,
         bus: Bus,
         now_ns: Callable[[], int],
-        apis: tuple[SimulationApi, ReplayApi, RecordingsApi, CommandApi, SettingsApi, PageErrorsApi],
+        apis: tuple[SimulationApi, ReplayApi, RecordingsApi, CommandApi, SettingsApi, PageErrorsApi, SetUpApi],
     ) -> uvicorn.Server:
         folder = Path(self._config.static_dir) if self._config.static_dir else DASHBOARD
         clients = self._config.clients_maximum
@@ -230,6 +234,13 @@ class Process:
         except OSError as error:  # the page is served all the same
             log.warning("cannot write %s: %s", address_file(bus.state_dir), error.strerror)
         log.info("dashboard at %s, listening on %s port %d", address, host, port)
+
+
+def publish(bus: Bus, *queues: Queue[Any]) -> None:
+    """Publish the commands that visitors have sent."""
+    for commands in queues:
+        while not commands.empty():
+            bus.publish(commands.get_nowait())
 
 
 def recordings_folder(bus: Bus) -> Path:

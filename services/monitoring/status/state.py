@@ -72,6 +72,7 @@ UNSAVED = 1000  # records
 SAMPLE_NS = 200_000_000
 SECOND_NS = STALL_NS = 1_000_000_000
 WITH_POSITION = (TrustLevel.SAFE, TrustLevel.CAUTION, TrustLevel.DEAD_RECKONING)
+SAMPLES = 1000  # messages of inertial samples between two questions of the page Set up
 POLL_PERIOD_NS = 5_000_000_000  # after a question about a topic, for which its messages are followed
 TRUST_EVENTS = 50  # newest, kept
 WHEELS = ("front_left_m_s", "front_right_m_s", "rear_left_m_s", "rear_right_m_s")
@@ -120,6 +121,7 @@ class State:
         self.history_s, self.replay = history_s, replay  # of a replay, silence is part of the recording
         self.topics = {t.name: TopicFlow(t.name, t) for t in TOPICS if not t.per_process}
         self.followed = frozenset(topic.name for topic in TOPICS if topic.fast)  # fast topics whose messages come here
+        self.samples: deque[Envelope] = deque(maxlen=SAMPLES)  # inertial ones, while somebody looks at them
         self._looked_ns: dict[str, int] = {}  # time of the last question about a topic that is followed on demand
         self.processes = {name: ProcessFlow(name) for name in PROCESS_ROWS}
         self.judgement: Judgement = unavailable(self.expected, None)
@@ -184,6 +186,7 @@ class State:
             self._broker_back_ns = envelope.received_ns
         self._received_ns = max(self._received_ns, envelope.received_ns)
         message = flow.note(envelope)
+        self._keep_sample(envelope)
         if message is not None and not envelope.retained:
             self.series.take(name, message, envelope.received_ns)
         if message is not None:
@@ -199,6 +202,11 @@ class State:
                 self.origins[envelope.producer] = (message, flow.heard_ns or 0)
             case _:
                 self._note_event(message, envelope)
+
+    def _keep_sample(self, envelope: Envelope) -> None:
+        looked_ns = self._looked_ns.get(envelope.topic, 0)
+        if envelope.topic == "imu/sample" and envelope.received_ns - looked_ns < POLL_PERIOD_NS:
+            self.samples.append(envelope)
 
     def _note_event(self, message: Message | None, envelope: Envelope) -> None:
         """Keep what is shown beyond the newest message of its topic."""

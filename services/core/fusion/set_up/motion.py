@@ -60,6 +60,8 @@ class Motion:
         Time, and velocity of the receiver [m/s, NED]; down is NaN where it is not measured.
     speeds : ndarray, shape (l, 2)
         Time, and speed of the odometer [m/s].
+    place : Geodetic, optional
+        Newest position.
     """
 
     nodes: FloatArray
@@ -68,6 +70,7 @@ class Motion:
     positions: FloatArray
     velocities: FloatArray
     speeds: FloatArray
+    place: Geodetic | None = None
 
     def of_receiver(self) -> Velocities:
         """Velocities that the receiver measures."""
@@ -239,15 +242,16 @@ class _Rows:
 
 
 class MotionLog:
-    """Collects the last `WINDOW_S` of samples and measurements, of one device of each kind."""
+    """Collects the last `window_s` of samples and measurements, of one device of each kind."""
 
-    def __init__(self) -> None:
+    def __init__(self, window_s: float = WINDOW_S) -> None:
+        epochs = round(MAX_EPOCHS * window_s / WINDOW_S)
         self._start_ns: int | None = None
         self._waiting: list[Samples] = []  # not yet integrated
         self._last_ns, self._sums = 0, np.zeros(7)  # stamp of the newest sample, and the integrals until then
-        self._nodes, self._node_s = _Rows(8, round(WINDOW_S / NODE_S)), 0.0  # and time of the newest
-        self._positions, self._velocities = _Rows(4, MAX_EPOCHS), _Rows(4, MAX_EPOCHS)
-        self._speeds = _Rows(2, MAX_EPOCHS)
+        self._nodes, self._node_s = _Rows(8, round(window_s / NODE_S)), 0.0  # and time of the newest
+        self._positions, self._velocities = _Rows(4, epochs), _Rows(4, epochs)
+        self._speeds = _Rows(2, epochs)
         self._place: tuple[Geodetic, Vector] | None = None  # newest position, and it against the first [m, NED]
         self._speed_s = -inf  # time of the newest speed
         self._seen_s = 0.0  # stamp of the measurement that is told
@@ -301,9 +305,12 @@ class MotionLog:
         if len(nodes) < 2:
             return None
         begin_s = float(nodes[0, 0])
-        measured = (rows.table(begin_s) for rows in (self._positions, self._velocities, self._speeds))
+        positions, velocities, speeds = (
+            rows.table(begin_s) for rows in (self._positions, self._velocities, self._speeds)
+        )
         times, *integrals, gaps = nodes.T
-        return Motion(times, np.array(integrals), gaps, *measured)
+        place = None if self._place is None else self._place[0]
+        return Motion(times, np.array(integrals), gaps, positions, velocities, speeds, place)
 
     def _integrate(self) -> None:
         """Add the waiting samples to the integrals; those out of order are left out."""

@@ -9,10 +9,10 @@ import { words } from "./words.js";
 const THEMES = ["auto", "light", "dark", "night"];
 const LOST_BAR_AFTER_S = 3;
 const TRY_AGAIN_MS = 2000;
-const PAGES = ["now", "map", "gnss", "charts", "trust", "toll", "recordings", "system", "settings"];
+const PAGES = ["now", "map", "gnss", "charts", "trust", "toll", "recordings", "system", "settings", "set_up"];
 const WATCHED = ["now", "map", "gnss", "trust"];
-const GO = { n: "now", m: "map", t: "trust", g: "gnss", c: "charts", l: "toll", s: "system", r: "recordings", e: "settings" }; // after the key g
-const HIDDEN = { rsu: ["now", "gnss", "charts", "trust"], obu: ["toll"] }; // pages of the other role
+const GO = { n: "now", m: "map", t: "trust", g: "gnss", c: "charts", l: "toll", s: "system", r: "recordings", e: "settings", u: "set_up" }; // after the key g
+const HIDDEN = { rsu: ["now", "gnss", "charts", "trust", "set_up"], obu: ["toll"] }; // pages of the other role
 const LATER = {
   map: () => import("./map/map.js").then((m) => m.MapPage),
   gnss: () => import("./gnss/gnss.js").then((m) => m.GnssPage),
@@ -22,6 +22,7 @@ const LATER = {
   recordings: () => import("./recordings/recordings.js").then((m) => m.RecordingsPage),
   system: () => import("./system/system.js").then((m) => m.SystemPage),
   settings: () => import("./settings/settings.js").then((m) => m.SettingsPage),
+  set_up: () => import("./set_up/set_up.js").then((m) => m.SetUpPage),
 };
 const loaded = { now: NowPage }; // the others when they are first opened
 
@@ -43,7 +44,7 @@ const go = (hash) => {
 // A unit that is seen from a control centre: what it passes on, and nothing that only it can do.
 const watch = () => state.value?.watch ?? null;
 const role = () => (state.value?.toll ? "rsu" : "obu");
-const pagesHere = () => PAGES.filter((name) => (!watch() || WATCHED.includes(name)) && !HIDDEN[role()].includes(name) && !(["recordings", "settings"].includes(name) && state.value?.replay));
+const pagesHere = () => PAGES.filter((name) => (!watch() || WATCHED.includes(name)) && !HIDDEN[role()].includes(name) && !(["recordings", "settings", "set_up"].includes(name) && state.value?.replay));
 
 // That the vehicle is seen from afar, how old the newest message is, and the way back.
 function Watch() {

@@ -30,6 +30,7 @@ const SHAPES = {
   map: html`<path d="m3 6 6-2 6 2 6-2v14l-6 2-6-2-6 2zM9 4v14m6-12v14" class="line" />`,
   system: html`<path d="M4 5h16M4 12h16M4 19h16" class="line" /><circle cx="9" cy="5" r="2" fill="currentColor" />
     <circle cx="15" cy="12" r="2" fill="currentColor" /><circle cx="8" cy="19" r="2" fill="currentColor" />`,
+  set_up: html`<path d="M14 4a5 5 0 0 0-1 7L4 20l2 2 9-9a5 5 0 0 0 6-6l-3 3-3-1-1-3z" class="line" />`,
   settings: html`<circle cx="12" cy="12" r="3" class="line" /><path d="M12 3v4M12 17v4M3 12h4M17 12h4M5.6 5.6l2.9 2.9M15.5 15.5l2.9 2.9M18.4 5.6l-2.9 2.9M8.5 15.5l-2.9 2.9" class="line" />`,
   gnss: html`<path d="M12 12 20 4M6 12a6 6 0 0 0 6 6M2.5 12a9.5 9.5 0 0 0 9.5 9.5" class="line" /><circle cx="12" cy="12" r="2.5" fill="currentColor" /><circle cx="19" cy="5" r="2.5" fill="currentColor" />`,
   charts: html`<path d="M4 4v16h16" class="line" /><path d="m7 15 4-5 3 3 5-7" class="line" />`,

@@ -3,7 +3,7 @@ import { zone } from "./store.js";
 
 export const words = {
   skip: "Skip to the content",
-  pages: { now: "Now", map: "Map", gnss: "GNSS", charts: "Charts", toll: "Toll", trust: "Trust", system: "System", recordings: "Recordings", settings: "Settings" },
+  pages: { now: "Now", map: "Map", gnss: "GNSS", charts: "Charts", toll: "Toll", trust: "Trust", system: "System", recordings: "Recordings", settings: "Settings", set_up: "Set up" },
   navigation: "Pages",
   unit: "OBU",
   connecting: "Connecting to the on-board unit ...",
@@ -494,6 +494,7 @@ export const words = {
       ["g r", "Recordings"],
       ["g s", "System"],
       ["g e", "Settings"],
+      ["g u", "Set up"],
       ["/", "Find a topic"],
       ["p", "Pause or resume the display"],
       ["Space", "Play or pause a replay"],

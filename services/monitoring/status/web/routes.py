@@ -49,6 +49,7 @@ from .page_errors import PageErrorsApi
 from .recordings import Command, Job, RecordingsApi
 from .replay import ReplayApi
 from .series import SeriesApi
+from .set_up import SetUpApi, SetUpCommand
 from .settings import SettingsApi
 from .simulation import SimulationApi
 from .stream.events import Events
@@ -77,8 +78,8 @@ TAGS = {
 GEOJSON = "application/geo+json"
 LIMITED_LOGS = (login.__name__, page_errors.__name__)  # of what visitors cause
 BODIES = (
-    SimulationAttack, ReplayControl, Command, ModeCommand, SettingsCommand, LoginRequest, AddToken, RevokeToken,
-    PageError,
+    SimulationAttack, ReplayControl, Command, ModeCommand, SettingsCommand, SetUpCommand, LoginRequest, AddToken,
+    RevokeToken, PageError,
 )  # fmt: skip
 T = TypeVar("T")
 
@@ -308,8 +309,10 @@ def app_without_unit() -> FastAPI:
     commands = CommandApi(state, lock, now_ns)
     series = SeriesApi(state, lock, now_ns, 1)
     unit_settings = SettingsApi(state, lock, now_ns)
+    set_up = SetUpApi(state, lock, now_ns, pathlib.Path(), Library(pathlib.Path()), lambda: None)
     support = SupportApi(pathlib.Path(), Tokens(pathlib.Path()))
-    apis = (series, simulation, replay, recordings, commands, unit_settings, maps, PageErrorsApi(), support, DraftApi())
+    more = (set_up, maps, PageErrorsApi(), support, DraftApi())
+    apis = (series, simulation, replay, recordings, commands, unit_settings, *more)
     return make_app(api, apis, Pages({}, {}), watching, Access(Rules(), Tokens(pathlib.Path())))
 
 

@@ -189,7 +189,7 @@ export function SettingsPage() {
   const waiting = Boolean(open) && !open.error && !open.answer && !open.settled;
   const narrowed = Boolean(wanted) || only;
   return html`<div class="settings-page"><${Newest} report=${report} run=${run} may=${may} />
-    <${Card} title=${w.title} note=${w.note} id="settings">
+    <${Card} title=${w.title} note=${w.note} id="settings" aside=${html`<a href="#/set_up">${words.pages.set_up}</a>`}>
       ${report.problem && html`<p class="note block" role="alert">${report.problem}</p>`}
       ${!may && html`<p class="note block">${w.needsAdmin}</p>`}
       <div class="settings-tools"><label><span>${w.search}</span><input type="search" value=${search} onInput=${(e) => setSearch(e.target.value)} /></label>

@@ -41,6 +41,8 @@ ROWS = (
     Row("POST", "/api/settings", Right.ADMIN, "check, change, confirm, take back, restore settings"),
     Row("POST", "/api/draft", Right.OPERATE, "draft the mapping of a file for `obu import`"),
     Row("GET", "/api/support", Right.ADMIN, "collect and download diagnostics"),
+    Row("GET", "/api/set-up", Right.VIEW, "steps of the set-up, and what the newest drive has shown"),
+    Row("POST", "/api/set-up", Right.OPERATE, "confirm a step, survey the newest drive"),
     Row("POST", "/api/page-error", Right.VIEW, "report an error of the page's program"),
     Row("GET", "/api/track", Right.VIEW, "track of the drive"),
     Row("GET", "/api/track.gpx", Right.VIEW, "track as GPX"),

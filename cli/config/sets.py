@@ -1,0 +1,51 @@
+"""`obu config begin`: a vehicle's file from a set of hardware."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from shared import shipped
+from shared.bounded import TOML_BYTES, read_text
+from shared.errors import UserError
+from shared.settings.edit import checked, edited
+
+from ..output_file import insist_on_place
+
+FOLDER = shipped(Path("deploy/vehicles/sets"))
+
+
+def begin(
+    name: Annotated[
+        str | None, typer.Argument(metavar="SET", help="Name of a set; without it they are listed.")
+    ] = None,
+    *,
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FILE", help="The vehicle's file, which must not be there.")
+    ] = Path("vehicle.toml"),
+    vehicle_name: Annotated[str, typer.Option("--name", metavar="NAME", help="Name of the vehicle.")] = "car",
+) -> int:
+    """Write a vehicle's file for a set of hardware, from which its set-up goes on.
+
+    Examples:
+    [bold]obu config begin[/]
+    [bold]obu config begin f9p_xsens --name van-3 --out van.toml[/]
+    """
+    files = {path.stem: read_text(path, TOML_BYTES) for path in sorted(FOLDER.glob("*.toml"))}
+    if name is None:
+        for one, text in files.items():
+            print(f"{one:14} {text.partition(chr(10))[0].removeprefix('#').strip()}")
+        return 0
+    if name not in files:
+        raise UserError(f"there is no set {name!r}; `obu config begin` lists {', '.join(files)}")
+    insist_on_place(out)
+    if out.exists():
+        raise UserError(f"{out} already exists; choose another file with --out, or remove it")
+    text = edited(files[name], {"vehicle.name": vehicle_name})
+    checked(text, str(out))
+    try:
+        out.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot write {out}: {error.strerror}; choose another path with --out") from error
+    print(f"wrote {out}; the page Set up goes on from it, or `obu set-up` with a recorded drive")
+    return 0
