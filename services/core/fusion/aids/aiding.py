@@ -48,6 +48,8 @@ KINDS: tuple[tuple[AidingKind, type], ...] = (
     (AidingKind.NON_HOLONOMIC, NonHolonomic), (AidingKind.ODOMETER, WheelSpeed),
 )  # fmt: skip
 
+CARRIED = "carried by carrier phases"  # reason of a velocity that is not used
+
 
 class Aids:
     """Passes measurements to the filter; its state is replaced and never changed in place."""
@@ -108,7 +110,8 @@ class Aids:
         if isinstance(measurement, MagneticHeading):
             self._compass = self._compass.judged(measurement, navigation)
             measurement = replace(measurement, check=self._compass)
-        if isinstance(measurement, GnssVelocity) and self._carrier.carries(measurement.time_ns):
+        if isinstance(measurement, GnssVelocity) and self._carrier.carries(measurement):
+            yield from self._test_velocity(navigation, measurement)
             return
         if isinstance(measurement, AntennaDisplacement):
             yield from self._use_displacement(navigation, measurement.after(self._carrier))
@@ -148,13 +151,32 @@ class Aids:
                 measurement.update_statistics(navigation, outcome.innovation)
 
     def _use_displacement(self, navigation: ErrorStateFilter, measurement: AntennaDisplacement) -> Iterator[Outcome]:
-        """Use a displacement along its path."""
-        used = False
+        """Use a displacement along its path; levels know what it shows, and what it may have done."""
+        used, false_alarm = False, self._settings.gating.false_alarm_probability
         for observe in measurement.observers():
-            outcome = self.gate.use(navigation, measurement, observe(navigation))
+            observation = observe(navigation)
+            navigation.propagate_covariance()
+            P = navigation.P
+            outcome = self.gate.use(navigation, measurement, observation)
             used = outcome.used
+            if used:
+                self.undetected_shift = self.undetected_shift.after(outcome, P, navigation.P, (false_alarm, 1.0))
+            self._monitor(outcome, navigation)
             yield outcome
         self._carrier = measurement.path_after(navigation, used=used)
+
+    def _test_velocity(self, navigation: ErrorStateFilter, measurement: GnssVelocity) -> Iterator[Outcome]:
+        """Compare a velocity with the filter that displacements carry: monitors see it, and it changes no state."""
+        for outcome in self.test_only(navigation, measurement, CARRIED):
+            self._monitor(outcome, navigation)
+            yield outcome
+
+    def _monitor(self, outcome: Outcome, navigation: ErrorStateFilter) -> None:
+        """Add an outcome that is not of a position to the statistics of innovations."""
+        self.error_monitor = self.error_monitor.after(
+            outcome, NO_BLOCK, navigation, self._settings.gating.false_alarm_probability, estimated=False,
+            limits_m=self._settings.vehicle.alert_limits_m,
+        )  # fmt: skip
 
     def test_only(self, navigation: ErrorStateFilter, measurement: Measurement, reason: str) -> Iterator[Outcome]:
         """Compare a measurement of an excluded source with the filter; the state does not change."""

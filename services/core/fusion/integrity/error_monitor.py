@@ -22,10 +22,11 @@ OUTAGE_S = 3.0  # without a used position, after which a position is a return
 
 @dataclass(frozen=True)
 class ErrorMonitor:
-    """Innovation statistics of positions and velocities, and the effect of the last position; immutable."""
+    """Statistics of innovations of positions, velocities and displacements, and what the last position did; immutable."""
 
     position: InnovationStatistics = field(default_factory=InnovationStatistics)
     velocity: InnovationStatistics = field(default_factory=InnovationStatistics)
+    displacement: InnovationStatistics = field(default_factory=InnovationStatistics)  # by carrier phases
     estimated: bool = False  # the time-correlated error of positions is a state of the filter
     used_ns: int = 0  # stamp of the last position that was used
     cov_after_fix: Block = NO_BLOCK  # covariance after it
@@ -92,6 +93,9 @@ class ErrorMonitor:
         if outcome.kind is AidingKind.GNSS_VELOCITY:
             velocity = self.velocity.after(outcome.time_ns, outcome.innovation, outcome.innovation_sd)
             return replace(self, velocity=velocity)
+        if outcome.kind is AidingKind.CARRIER_DISPLACEMENT:
+            displacement = self.displacement.after(outcome.time_ns, outcome.innovation, outcome.innovation_sd)
+            return replace(self, displacement=displacement)
         if outcome.kind is not AidingKind.GNSS_POSITION:
             return self
         z, height = outcome.innovation, outcome.height
@@ -158,17 +162,17 @@ class ErrorMonitor:
     def overstatement(self) -> float:
         """Factor by which time-correlated errors make the filter too certain; unestimated ones are modelled."""
         of_positions = 1.0 if self.unestimated[0] > 0.0 else self.position.overstatement
-        return max(of_positions, self.velocity.overstatement)
+        return max(of_positions, self.velocity.overstatement, self.displacement.overstatement)
 
     @cached_property
     def scale_horizontal(self) -> float:
         """Factor by which squared horizontal innovations exceed their variance; at least 1."""
-        return max(self.position.scale_horizontal, self.velocity.scale_horizontal)
+        return max(self.position.scale_horizontal, self.velocity.scale_horizontal, self.displacement.scale_horizontal)
 
     @cached_property
     def scale_vertical(self) -> float:
         """The same of vertical ones."""
-        return max(self.position.scale_vertical, self.velocity.scale_vertical)
+        return max(self.position.scale_vertical, self.velocity.scale_vertical, self.displacement.scale_vertical)
 
     @cached_property
     def correlated_variance_horizontal(self) -> float:

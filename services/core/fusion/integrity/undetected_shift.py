@@ -17,6 +17,7 @@ FloatArray = npt.NDArray[np.float64]
 
 SHIFTED = em.ACCELEROMETER_SCALE.start  # states: attitude, velocity, position and biases
 UNKNOWN_LIMIT = 16.3  # [-] chi-square, 3 degrees of freedom, 1e-3
+MOTION = frozenset((AidingKind.GNSS_VELOCITY, AidingKind.CARRIER_DISPLACEMENT))  # one may stand in for the other
 BREAK_S = 10.0  # longest interval between two fixes of one series
 
 
@@ -52,7 +53,7 @@ class UndetectedShift:
         Notes
         -----
         The change K z with z' S^-1 z <= T is largest for state i where it is sqrt(T (P- - P+)_ii), because
-        K S K' = P- - P+.
+        K S K' = P- - P+. A velocity that displacements have replaced for `BREAK_S` is dropped, and the reverse.
         """
         limit = gate[1] * chi_square_limit(len(outcome.innovation), gate[0])
         taken = np.maximum(before.diagonal()[:SHIFTED] - now.diagonal()[:SHIFTED], 0.0)
@@ -60,9 +61,13 @@ class UndetectedShift:
         interval_s = 0.0 if last is None else (outcome.time_ns - last.time_ns) * 1e-9
         if not 0.0 < interval_s <= BREAK_S:
             interval_s = last.interval_s if last is not None else 1.0
-        return UndetectedShift(
-            {**self.kinds, outcome.kind: FixShift(outcome.time_ns, interval_s, np.sqrt(limit * taken))}
-        )
+        stale = MOTION - {outcome.kind} if outcome.kind in MOTION else frozenset()
+        kept = {
+            kind: shift
+            for kind, shift in self.kinds.items()
+            if kind not in stale or abs(outcome.time_ns - shift.time_ns) <= BREAK_S * 1e9
+        }
+        return UndetectedShift({**kept, outcome.kind: FixShift(outcome.time_ns, interval_s, np.sqrt(limit * taken))})
 
     def inflate(self, navigation: ErrorStateFilter, span_s: float) -> None:
         """Add to the covariance what fixes over a time may have done, as standard deviations.

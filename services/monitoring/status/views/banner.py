@@ -404,12 +404,15 @@ def _protection_check(e: Evidence) -> Check:
 
 
 def _gate_checks(e: Evidence) -> list[Check]:
-    """Show the newest innovation of each kind against its gate."""
+    """Show the newest innovation of each kind against its gate; displacements stand in for the receiver's velocity."""
     link, checks = "system?topic=navigation/aiding", []
-    for kind, update, _ in _recent(e):
-        code = Code.RESIDUAL if update.used else Code.RESIDUAL_DISCARDED
+    recent = _recent(e)
+    carried = any(kind is AidingKind.CARRIER_DISPLACEMENT and update.used for kind, update, _ in recent)
+    for kind, update, _ in recent:
+        used = update.used or (carried and kind is AidingKind.GNSS_VELOCITY)
+        code = Code.RESIDUAL if used else Code.RESIDUAL_DISCARDED
         why = explain(code, share=round(min(update.test_ratio, 1e6), 2))
-        state = Trust.SAFE if update.used and update.test_ratio <= GATE_LIMIT else Trust.CAUTION
+        state = Trust.SAFE if used and update.test_ratio <= GATE_LIMIT else Trust.CAUTION
         checks.append(_check(f"gate {kind}", state, link, why, ratio=update.test_ratio))
     return checks or [_check("gate", Trust.STALE, link, explain(Code.NO_RESIDUAL, limit_s=AIDING_RECENT_S))]
 

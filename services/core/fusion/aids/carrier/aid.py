@@ -31,14 +31,17 @@ from ...settings import Settings
 from ...states import LAYOUT
 from ..base import Kind, Observation, Sensor
 from ..gnss.antenna import antenna_position_matrix
-from ..gnss.fix import true_time_ns
+from ..gnss.fix import GnssVelocity, true_time_ns
 
 FloatArray = npt.NDArray[np.float64]
 
 OFFSET, DRIFT = LAYOUT.place("carrier_offset"), LAYOUT.place("carrier_drift")  # [m, NED], [m/s, NED]
 ANCHOR_S = 10.0  # [s] longest path from one anchor: the drift is taken as constant along it
 SAME_EPOCH_NS = 1_000_000  # stamps of one epoch differ by less
-CARRIED_EPOCHS = 1.5  # [-] intervals after the last displacement until velocities of the receiver are used again
+VELOCITY_EPOCH_NS = 15_000_000  # stamps of a velocity and of a displacement of one epoch differ by less
+MAX_INTERVAL_S = 2.0  # of a displacement that is used: the filter's own error grows over a longer one
+MAX_REJECTIONS = 3  # in a row, after which displacements are left out
+LEFT_OUT_NS = 30_000_000_000
 WIDE = 300.0  # [-] standard deviations of the position that an offset begins with, before the anchor sets it
 MIN_WIDE_M = 100.0
 MIN_NOISE_M = 1e-4  # of one epoch
@@ -67,12 +70,28 @@ class CarrierPath:
     interval_ns: int = 0  # that it took
     anchor_ns: int | None = None  # None: there is no path
     position: Geodetic = NOWHERE  # Q, of the newest epoch
+    removed_ns: int = 0  # of its age, in `time_ns`
+    rejections: int = 0  # in a row, also over paths that ended
+    left_out_ns: int | None = None  # since when displacements are left out
 
-    def carries(self, time_ns: int) -> bool:
-        """Whether displacements carry the filter through an epoch, whose velocity by the receiver is then left out."""
-        if self.anchor_ns is None:
+    def carries(self, velocity: GnssVelocity) -> bool:
+        """Whether the newest displacement, or the one that is due next, is of the epoch of a velocity.
+
+        Such a velocity is left out, unless the last displacement was rejected: path or filter may be wrong, and the
+        velocity decides. Velocities of epochs between displacements are used.
+        """
+        if self.anchor_ns is None or self.rejections or receiver_of(velocity.source) != receiver_of(self.source):
             return False
-        return abs(time_ns - self.time_ns) <= CARRIED_EPOCHS * self.interval_ns
+        past_ns = velocity.time_ns + round(velocity.removed_s * 1e9) - self.time_ns - self.removed_ns
+        return min(abs(past_ns), abs(past_ns - self.interval_ns)) < VELOCITY_EPOCH_NS
+
+    def is_left_out(self, time_ns: int) -> bool:
+        """Whether displacements are left out, after several that were rejected in a row."""
+        return self.left_out_ns is not None and 0 <= time_ns - self.left_out_ns < LEFT_OUT_NS
+
+    def ended(self) -> "CarrierPath":
+        """No path; what was rejected is known."""
+        return CarrierPath(rejections=self.rejections, left_out_ns=self.left_out_ns)
 
 
 @dataclass(frozen=True)
@@ -103,7 +122,7 @@ class AntennaDisplacement(Kind):
         gap_ns = abs(self.since_ns - path.time_ns)
         follows = self.checked and path.anchor_ns is not None and path.source == self.source and gap_ns < SAME_EPOCH_NS
         if not follows:
-            return replace(self, path=CarrierPath())
+            return replace(self, path=path.ended())
         position = geodetic_from_ned_difference(self.displacement, path.position)
         interval_ns = self.time_ns - self.since_ns
         return replace(self, path=replace(path, time_ns=self.time_ns, interval_ns=interval_ns, position=position))
@@ -128,14 +147,20 @@ class AntennaDisplacement(Kind):
     def path_after(self, navigation: ErrorStateFilter, *, used: bool) -> CarrierPath:
         """Path to which the next displacement belongs: this one, or one with its anchor here where it is too long.
 
-        One that was rejected, or is the first, has a new anchor; one that was not checked has no path.
+        One that was rejected, or is the first, has a new anchor; one that was not checked has no path. After several
+        that were rejected there is none for a while, and after it for as long again if the first is rejected.
         """
-        if not self.checked:
-            return CarrierPath()
+        if not self.checked or self.path.is_left_out(self.time_ns):
+            return self.path.ended()
         anchor_ns = self.path.anchor_ns
+        rejected = anchor_ns is not None and not used
+        rejections = 0 if used else min(self.path.rejections + rejected, MAX_REJECTIONS)
+        if rejected and rejections == MAX_REJECTIONS:
+            return CarrierPath(rejections=rejections, left_out_ns=self.time_ns)
         if used and anchor_ns is not None and self.time_ns - anchor_ns < ANCHOR_S * 1e9:
-            return self.path
-        return self._anchored(navigation, keeps_drift=used or anchor_ns is None)
+            return replace(self.path, rejections=0, left_out_ns=None)
+        anchored = self._anchored(navigation, keeps_drift=not rejected)
+        return replace(anchored, rejections=rejections)
 
     def _anchored(self, navigation: ErrorStateFilter, *, keeps_drift: bool) -> CarrierPath:
         """Anchor a path at the antenna of now: its offset becomes that position's error and the noise of the epoch."""
@@ -149,7 +174,7 @@ class AntennaDisplacement(Kind):
         arm_n = rotate(navigation.quaternion, self.lever_arm)
         path = CarrierPath(
             self.source, self.time_ns, self.time_ns - self.since_ns, self.time_ns,
-            geodetic_from_ned_difference(arm_n, navigation.position),
+            geodetic_from_ned_difference(arm_n, navigation.position), round(self.removed_s * 1e9),
         )  # fmt: skip
         anchor = replace(self, path=path).observe(navigation)  # its innovation is zero
         navigation.apply(navigation.innovate(anchor.z, anchor.H, anchor.R))
@@ -171,7 +196,7 @@ def of_displacement(message: CarrierDisplacement, settings: Settings) -> Iterato
         time_ns=true_time_ns(settings, message.sampled_ns), received_ns=message.received_ns, source=message.source,
         since_ns=true_time_ns(settings, message.since_ns), displacement=message.displacement_ned_m, noise_cov=noise,
         drift=drift, lever_arm=settings.vehicle.gnss.lever_arm_of(receiver_of(message.source)),
-        checked=message.checked and bool(np.linalg.eigvalsh(noise)[0] > 0.0),
+        checked=message.checked and interval_s <= MAX_INTERVAL_S and bool(np.linalg.eigvalsh(noise)[0] > 0.0),
     )  # fmt: skip
 
 

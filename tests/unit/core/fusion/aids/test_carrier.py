@@ -1,6 +1,8 @@
 """Displacements by carrier phases as an aid: consistent over an outage, and nothing where it is not switched on."""
 
 from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,7 +11,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cli.papers.navigation import YAW_SD, saved_heading
-from services.core.fusion.aids.base import Measurement, Sensor
+from services.core.fusion.aids.aiding import CARRIED
+from services.core.fusion.aids.base import Measurement, Outcome, Sensor
 from services.core.fusion.aids.carrier.aid import CarrierPath, of_displacement
 from services.core.fusion.aids.carrier.settings import CarrierSettings
 from services.core.fusion.aids.gnss.fix import GnssVelocity, Reading, Stamp, gnss_measurements
@@ -18,9 +21,14 @@ from services.core.fusion.aids.odometer.settings import OdometerSettings
 from services.core.fusion.batch import solve
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
+from services.core.fusion.integrity.innovation_statistics import Axis
+from services.core.fusion.messages import aiding_message
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.core.fusion.solution import Solution
+from services.core.spoofing.drift.monitor import DriftMonitor
+from services.core.spoofing.grade import Grade
+from services.core.spoofing.process import Config
 from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.world import messages
 from shared.inertial.strapdown import InertialState
@@ -29,9 +37,12 @@ from shared.maths.rotation import ned_from_body, quaternion_from_matrix
 from shared.messages.base import Symmetric3
 from shared.messages.gnss import CarrierDisplacement
 from shared.messages.navigation import AidingKind, AidingUpdate
+from shared.messages.trust import Outcome as Verdict
 from shared.runtime.config import GnssAntenna, Vehicle, parse_vehicle
 from shared.runtime.offline import OfflineUnit
+from shared.trust.result import Test
 from tests.support.drives.golden import VEHICLE
+from tests.support.drives.yaw_rates import solution_of
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -152,21 +163,149 @@ def test_nothing_is_measured_where_it_is_not_switched_on() -> None:
     assert len(measurements_of(message, settings(carrier=True))) == 1
 
 
-def outcomes_of(given: list[CarrierDisplacement]) -> list[tuple[AidingKind, int]]:
-    """Kinds and seconds of what was used of velocities and displacements, from 30 s to 45 s."""
+def navigated(
+    given: list[CarrierDisplacement], velocities: list[Measurement] | None = None, wrong_ns: int | None = None,
+) -> tuple[Navigator, list[Outcome]]:  # fmt: skip
+    """Navigator after 45 s, and outcomes of velocities and displacements from 30 s on.
+
+    At `wrong_ns` the velocity of the filter becomes wrong by 2 m/s, which its covariance does not know.
+    """
     made = settings(carrier=True)
     navigator = Navigator(made)
     navigator.use_prior(saved_heading(drive(), YAW_SD))
-    measured = fixes(1, made) + [m for message in given for m in measurements_of(message, made)]
-    found = []
+    measured = [*fixes(1, made), *(velocities or []), *(m for message in given for m in measurements_of(message, made))]
+    found: list[Outcome] = []
     measured.sort(key=lambda m: m.time_ns)
     rows = zip(drive().t_ns[:4500].tolist(), drive().force_b.tolist(), drive().rate_b.tolist(), strict=False)
     for time_ns, force, rate in rows:
         while measured and measured[0].time_ns <= time_ns:
             navigator.measure(measured.pop(0))
         found += navigator.imu(time_ns, force, rate)
+        if time_ns == wrong_ns:
+            running = navigator.engine.filter
+            assert isinstance(running, ErrorStateFilter)
+            north, east, down = running.velocity
+            running.inertial = running.inertial._replace(velocity=(north + 2.0, east, down))
     wanted = AidingKind.CARRIER_DISPLACEMENT, AidingKind.GNSS_VELOCITY
-    return [(o.kind, round(o.time_ns / 1e9)) for o in found if o.kind in wanted and o.used and o.time_ns > 30 * S]
+    return navigator, [o for o in found if o.kind in wanted and o.time_ns > 30 * S]
+
+
+@cache
+def undisturbed() -> tuple[Navigator, list[Outcome]]:
+    return navigated(displacements(1))
+
+
+def outcomes_of(given: list[CarrierDisplacement]) -> list[tuple[AidingKind, int]]:
+    """Kinds and seconds of what was used of velocities and displacements, from 30 s to 45 s."""
+    return [(o.kind, round(o.time_ns / 1e9)) for o in navigated(given)[1] if o.used]
+
+
+def moved(one: CarrierDisplacement, north_m: float) -> CarrierDisplacement:
+    north, east, down = one.displacement_ned_m
+    return one.model_copy(update={"displacement_ned_m": (north + north_m, east, down)})
+
+
+def of_kind(outcomes: list[Outcome], kind: AidingKind, *, used: bool) -> list[int]:
+    return [round(o.time_ns / 1e9) for o in outcomes if o.kind is kind and o.used is used]
+
+
+def test_wrong_displacements_are_left_out_and_velocities_are_used() -> None:
+    wrong = [moved(one, 1.0) if one.sampled_ns >= 34 * S else one for one in displacements(1)]
+    _, outcomes = navigated(wrong)
+    assert of_kind(outcomes, AidingKind.CARRIER_DISPLACEMENT, used=False) == [34, 35, 36]
+    velocities = of_kind(outcomes, AidingKind.GNSS_VELOCITY, used=True)
+    assert velocities == list(range(35, velocities[-1] + 1)) and velocities[-1] >= 43
+
+
+def test_one_wrong_displacement_ends_the_path_for_one_epoch() -> None:
+    wrong = [moved(one, 1.0) if one.sampled_ns == 34 * S else one for one in displacements(1)]
+    _, outcomes = navigated(wrong)
+    assert of_kind(outcomes, AidingKind.CARRIER_DISPLACEMENT, used=False) == [34]
+    assert of_kind(outcomes, AidingKind.GNSS_VELOCITY, used=True) == [35], "until a displacement is used again"
+    assert set(range(35, 43)) <= set(of_kind(outcomes, AidingKind.CARRIER_DISPLACEMENT, used=True))
+
+
+def test_velocities_put_a_filter_right_whose_velocity_is_wrong() -> None:
+    """By its own path the filter would reject displacements that are right."""
+    navigator, outcomes = navigated(displacements(1), wrong_ns=36 * S)
+    assert of_kind(outcomes, AidingKind.CARRIER_DISPLACEMENT, used=False)
+    assert of_kind(outcomes, AidingKind.GNSS_VELOCITY, used=True)
+    running = navigator.engine.filter
+    assert isinstance(running, ErrorStateFilter)
+    k = int(np.searchsorted(drive().t_ns, running.time_ns))
+    assert np.abs(np.array(running.velocity) - drive().velocity_n[k]).max() < 0.3
+
+
+def test_velocities_that_are_left_out_are_tested_and_velocities_between_are_used() -> None:
+    """At ten velocities a second; those of another receiver are used in every epoch."""
+    made = settings(carrier=True)
+    template = next(m for m in fixes(1, made) if isinstance(m, GnssVelocity))
+    between = []
+    for k in range(99, len(drive().t_ns), 10):
+        time_ns = int(drive().t_ns[k])
+        swing = ned_from_body(*drive().attitude[k]) @ np.cross(drive().ideal_rate_b[k], drive().lever_arm_b)
+        north, east, down = (drive().velocity_n[k] + swing).tolist()
+        if time_ns % S:
+            between.append(replace(template, time_ns=time_ns, received_ns=time_ns, velocity=(north, east, down)))
+    _, outcomes = navigated(displacements(1), list(between))
+    velocities = [o for o in outcomes if o.kind is AidingKind.GNSS_VELOCITY]
+    whole = [o for o in velocities if o.time_ns % S == 0]
+    assert whole and all(not o.used and o.reason == CARRIED for o in whole)
+    assert len(velocities) - len(whole) >= 9 * (len(whole) - 1)
+    assert all(o.used for o in velocities if o.time_ns % S)
+
+
+@pytest.mark.parametrize(
+    ("past_s", "source", "rejections", "carried"),
+    [
+        (0.0, "gnss", 0, True), (0.0, "gnss/nmea", 0, True), (1.0, "gnss", 0, True), (0.1, "gnss", 0, False),
+        (0.9, "gnss", 0, False), (2.0, "gnss", 0, False), (0.0, "gnss2", 0, False), (0.0, "gnss", 1, False),
+    ],
+)  # fmt: skip
+def test_a_path_carries_velocities_of_its_epochs(past_s: float, source: str, rejections: int, *, carried: bool) -> None:
+    velocity = next(m for m in fixes(1, settings(carrier=True)) if isinstance(m, GnssVelocity))
+    path = CarrierPath("gnss", 10 * S, S, 5 * S, Geodetic(0.7, 0.2, 300.0), rejections=rejections)
+    late = replace(velocity, time_ns=10 * S + round(past_s * S), source=source).corrected(0.0, 0.2)
+    assert path.carries(late) is carried
+
+
+def test_a_displacement_over_a_long_interval_is_not_used() -> None:
+    made = settings(carrier=True)
+    one = displacements(1)[1]
+    for since_s, checked in ((1.0, True), (2.0, True), (2.1, False)):
+        (made_of,) = of_displacement(one.model_copy(update={"since_ns": one.sampled_ns - round(since_s * S)}), made)
+        assert made_of.checked is checked
+
+
+def test_levels_know_of_displacements() -> None:
+    """Steps that pass the gate show in the statistics, and the largest undetected shift is that of displacements."""
+    navigator, _ = undisturbed()
+    aids = navigator.engine.aids
+    assert aids.error_monitor.displacement.time_ns > 40 * S and aids.error_monitor.velocity.time_ns > 40 * S
+    assert aids.undetected_shift.kinds[AidingKind.CARRIER_DISPLACEMENT].change[em.VELOCITY].max() > 0.0
+    assert AidingKind.GNSS_VELOCITY not in aids.undetected_shift.kinds, "its last one was used long ago"
+    wrong = replace(aids.error_monitor.displacement, axes=(Axis(mean_square=9.0, mean_ratio=9.0),) * 3)
+    monitor = replace(aids.error_monitor, displacement=wrong)
+    assert monitor.scale_horizontal > 8.0 and monitor.scale_vertical > 7.0 and monitor.overstatement == 8.5
+
+
+def test_the_drift_monitor_sees_a_drift_of_velocities_that_are_left_out() -> None:
+    """It takes messages of innovations, used or not: white ones are evaluated, a drag of the velocity accuses."""
+    found = {}
+    for drag in (0.0, 0.15):
+        monitor, rng = DriftMonitor(Config(grade=Grade.INDUSTRIAL), Counter()), np.random.default_rng(3)
+        _, outcomes = undisturbed()
+        sd = next(o.innovation_sd for o in outcomes if o.reason == CARRIED)
+        one = next(aiding_message(o) for o in outcomes if o.reason == CARRIED)
+        tests: Mapping[str, Test] = {}
+        for second in range(1, 90):
+            monitor.solution(solution_of(second * S, 0.0, stationary=False))
+            z = np.array(sd) * rng.standard_normal(3) + drag
+            innovation = one.model_copy(update={"sampled_ns": second * S, "innovation": tuple(z.tolist())})
+            monitor.innovation(innovation)
+            tests = monitor.verdicts(second * S + S // 2)
+        found[drag] = tests["velocity_30"].outcome
+    assert found == {0.0: Verdict.PASS, 0.15: Verdict.ACCUSES}
 
 
 def test_an_epoch_has_a_displacement_or_a_velocity_and_an_unchecked_one_neither() -> None:
