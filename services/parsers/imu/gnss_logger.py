@@ -16,6 +16,7 @@ from shared.protocols.registry import BY_NAME
 from .decoder import MAX_ACCELERATION_M_S2, MAX_RATE_RAD_S, Batch, Decoder, SampleError, Stream, check, rotate
 
 ACCELERATION, RATE, FIELD = ("UncalAccel", "Accel"), ("UncalGyro", "Gyro"), ("UncalMag", "Mag")
+SILENCE_NS = 1_000_000_000  # of an uncalibrated sensor, after which the calibrated one is used
 GAP_NS = 100_000_000  # between accelerations, over which none is interpolated
 WAITING = 400  # rates and accelerations at most that wait for each other
 MAX_TIME_NS = 1 << 60
@@ -35,7 +36,7 @@ class PhoneImu(Decoder):
     def __init__(self, stream: Stream) -> None:
         super().__init__(stream)
         self._framer = Framer((BY_NAME["GnssLogger"].framing,), stream.rejects)
-        self._kinds: dict[tuple[str, str], str] = {}  # the one in use of each pair
+        self._seen_ns: dict[str, int] = {}  # arrival of the newest line of each uncalibrated sensor
         self._forces: deque[Sample] = deque(maxlen=WAITING)
         self._rates: deque[Sample] = deque(maxlen=WAITING)
         self._last_ns = -1  # of the newest rate that was used
@@ -47,46 +48,49 @@ class PhoneImu(Decoder):
         batch = Batch()
         for frame in self._framer.feed(raw.data):
             with self.faults.decoding(raw.received_ns):
-                self._line(frame.data.decode().strip().split(","), batch)
+                self._line(frame.data.decode().strip().split(","), raw.received_ns, batch)
         if not batch.device_ns:
             return None
         slow = {"pressure_pa": self._pressure_pa, "magnetic_field_body": self._field}
         self._field = self._pressure_pa = None
         return self.samples(batch, raw.received_ns, **slow)
 
-    def _line(self, parts: list[str], batch: Batch) -> None:
+    def _line(self, parts: list[str], received_ns: int, batch: Batch) -> None:
         kind = parts[0]
         try:
-            self._take(kind, parts, batch)
+            self._take(kind, parts, received_ns, batch)
         except SampleError as fault:
             self.count(kind, MessageUse.USED, fault)
         else:
             self.count(kind, MessageUse.USED)
 
-    def _take(self, kind: str, parts: list[str], batch: Batch) -> None:
+    def _take(self, kind: str, parts: list[str], received_ns: int, batch: Batch) -> None:
         if kind == "Pressure":
             pressure = _numbers(parts, 1)[0]
             if not LOWEST_HPA <= pressure <= HIGHEST_HPA:
                 raise SampleError("out_of_range")
             self._pressure_pa = pressure * PA_HPA
-        elif self._is_used(kind, ACCELERATION):
+        elif self._is_used(kind, ACCELERATION, received_ns):
             self._later(self._forces, self._sample(parts, MAX_ACCELERATION_M_S2))
             self._pair(batch)
-        elif self._is_used(kind, RATE):
+        elif self._is_used(kind, RATE, received_ns):
             self._later(self._rates, self._sample(parts, MAX_RATE_RAD_S))
             self._pair(batch)
-        elif self._is_used(kind, FIELD):
+        elif self._is_used(kind, FIELD, received_ns):
             x, y, z = _numbers(parts, 3)
             check((x, y, z), 1e4)
             field = rotate(self.stream.body_from_sensor, (x, y, z))
             self._field = field[0] / EARTH_FIELD_UT, field[1] / EARTH_FIELD_UT, field[2] / EARTH_FIELD_UT
 
-    def _is_used(self, kind: str, pair: tuple[str, str]) -> bool:
+    def _is_used(self, kind: str, pair: tuple[str, str], received_ns: int) -> bool:
+        """Whether a sensor of a pair is in use: the second one where the first has been silent for a second."""
         if kind not in pair:
             return False
         if kind == pair[0]:
-            self._kinds[pair] = kind
-        return self._kinds.setdefault(pair, kind) == kind
+            self._seen_ns[kind] = received_ns
+            return True
+        seen_ns = self._seen_ns.get(pair[0])
+        return seen_ns is None or not 0 <= received_ns - seen_ns < SILENCE_NS
 
     def _sample(self, parts: list[str], limit: float) -> Sample:
         x, y, z = _numbers(parts, 3)

@@ -22,7 +22,7 @@ OUTAGE_S = 3.0  # without a used position, after which a position is a return
 
 @dataclass(frozen=True)
 class ErrorMonitor:
-    """Statistics of innovations of positions, velocities and displacements, and what the last position did; immutable."""
+    """Statistics of innovations of positions, velocities and displacements; effect of the last position; immutable."""
 
     position: InnovationStatistics = field(default_factory=InnovationStatistics)
     velocity: InnovationStatistics = field(default_factory=InnovationStatistics)

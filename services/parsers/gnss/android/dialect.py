@@ -30,6 +30,7 @@ from .measurements import gps_time_ns, measurement
 
 LEAP_SECONDS = 18  # GPS - UTC since 2017, for lines that state none
 MAX_LEAP_S = 40
+ROUNDING_NS = 2_000_000  # times of a fix and of measurements of one epoch differ by less
 EPOCH_NS = 200_000_000  # after its first row an epoch is complete
 MIN_FIELDS = 6  # of the oldest version of the app; those behind may be missing
 GPS_SUBFRAME = 0x0101  # type of a navigation message: L1 C/A
@@ -46,9 +47,13 @@ class GnssLoggerDialect(Dialect):
         super().__init__(stream)
         self._fields = dict(DEFAULT_FIELDS)
         self._clock = ClockMapping(stream.minimum_delay_s, longest_delay_s=MAX_DELAY_S)
-        self._epoch: tuple[int, int, list[RawMeasurement]] | None = None  # GPS time, arrival [ns], its signals
+        self._newest_utc_ns = -1  # that was stamped
+        # GPS time, arrival, stamp [ns], and signals
+        self._epoch: tuple[int, int, int, list[RawMeasurement]] | None = None
         self._leap_s = LEAP_SECONDS
         self._newest_gps_ns = -1  # of a published epoch
+        self._clock_count: int | None = None  # steps of the receiver's clock, of the newest epoch
+        self._stepped_ns: int | None = None  # GPS time of the epoch whose count has changed
 
     def kind(self, frame: bytes) -> str:
         """First field; a line of names is a header."""
@@ -100,25 +105,31 @@ class GnssLoggerDialect(Dialect):
             yield from self._epoch_ended()
         if gps_ns <= self._newest_gps_ns < gps_ns + NS:  # of a larger step back the device has started again
             raise ContentError("phone_epoch")
-        measured = measurement(row, gps_ns)
+        count = integer(row, "hardwareclockdiscontinuitycount")
+        if None not in (count, self._clock_count) and count != self._clock_count:
+            self._stepped_ns = gps_ns
+        self._clock_count = count if count is not None else self._clock_count
+        measured = measurement(row, gps_ns, clock_stepped=self._stepped_ns == gps_ns)
         if isinstance(measured, str):
             raise ContentError(f"phone_raw_{measured.replace(' ', '_')}")
         leap_s = number(row, "leapsecond")
         self._leap_s = round(leap_s) if leap_s and 0.0 < leap_s <= MAX_LEAP_S else self._leap_s
-        self._epoch = self._epoch or (gps_ns, received_ns, [])
-        if len(self._epoch[2]) >= MAX_RAW_MEASUREMENTS:
+        if self._epoch is None:
+            stamp_ns = self._stamp(gps_ns + GPS_EPOCH_UTC_NS - self._leap_s * NS, received_ns)
+            self._epoch = gps_ns, received_ns, stamp_ns, []
+        if len(self._epoch[3]) >= MAX_RAW_MEASUREMENTS:
             raise ContentError("phone_measurements")
-        self._epoch[2].append(measured)
+        self._epoch[3].append(measured)
 
     def _epoch_ended(self) -> Iterator[GnssRawEpoch]:
         assert self._epoch is not None
-        gps_ns, received_ns, measurements = self._epoch
+        gps_ns, received_ns, stamp_ns, measurements = self._epoch
         self._epoch, self._newest_gps_ns = None, gps_ns
         told_ns = self.stream.dates.gps_time_ns(gps_ns, "phone_clock")
         if told_ns is not None:
             yield GnssRawEpoch(
-                sampled_ns=self._stamp(gps_ns + GPS_EPOCH_UTC_NS - self._leap_s * NS, received_ns),
-                received_ns=received_ns, source=self.stream.source, gps_time_ns=told_ns, leap_seconds=self._leap_s,
+                sampled_ns=stamp_ns, received_ns=received_ns, source=self.stream.source,
+                gps_time_ns=told_ns, leap_seconds=self._leap_s,
                 measurements=tuple(measurements),
             )  # fmt: skip
 
@@ -135,7 +146,14 @@ class GnssLoggerDialect(Dialect):
         yield with_lateness(fix.model_copy(update=stated), self._clock)
 
     def _stamp(self, utc_ns: int, received_ns: int) -> int:
-        return self._clock.stamp(utc_ns, received_ns)
+        """Stamp by the mapping; a time of the same epoch that is a little before the newest is no step of the clock.
+
+        A fix states a whole millisecond, which may be before or after the time of the measurements.
+        """
+        behind_ns = self._newest_utc_ns - utc_ns
+        behind_ns = behind_ns if 0 < behind_ns < ROUNDING_NS else 0
+        self._newest_utc_ns = utc_ns + behind_ns
+        return self._clock.stamp(utc_ns + behind_ns, received_ns) - behind_ns
 
     def _words(self, row: Row, received_ns: int) -> Iterator[Output]:
         """Subframes of GPS L1 C/A: ten words of 30 bits in four bytes each."""

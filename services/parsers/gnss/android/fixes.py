@@ -6,6 +6,7 @@ from shared.messages.gnss import FixType, GnssFix
 from shared.protocols.gnss_logger import Row, number
 
 MS = 1_000_000
+MAX_UTC_MS = float((1 << 62) // MS)  # year 2116; in nanoseconds within 64 bits, with room for a mapping of clocks
 AXIS = math.sqrt(-2.0 * math.log(0.32))  # radius of 68 %, which Android states, over the deviation of an axis: 1.51
 
 
@@ -16,7 +17,7 @@ def fix_of(row: Row) -> GnssFix | None:
     )
     if latitude is None or longitude is None or utc_ms is None or abs(latitude) > 90.0 or abs(longitude) > 180.0:
         return None
-    if not 0.0 <= utc_ms < 1e13:
+    if not 0.0 <= utc_ms < MAX_UTC_MS:
         return None
     speed, bearing = number(row, "speedmps"), number(row, "bearingdegrees")
     horizontal, vertical = number(row, "accuracymeters"), number(row, "verticalaccuracymeters")

@@ -37,8 +37,8 @@ def gps_time_ns(row: Row) -> int | None:
     return time_ns - bias_ns - round(number(row, "biasnanos") or 0.0)
 
 
-def measurement(row: Row, gps_ns: int) -> RawMeasurement | str:
-    """One signal, or why it is rejected.
+def measurement(row: Row, gps_ns: int, *, clock_stepped: bool = False) -> RawMeasurement | str:
+    """One signal, or why it is rejected; a phase after a step of the receiver's clock begins again.
 
     Notes
     -----
@@ -79,7 +79,7 @@ def measurement(row: Row, gps_ns: int) -> RawMeasurement | str:
         pseudorange_m=pseudorange, pseudorange_sd_m=max(sent_sd_ns, 1.0) / NS * SPEED_OF_LIGHT,
         carrier_phase_cycles=cycles if cycles is not None and abs(cycles) < MAX_CYCLES else None,
         half_cycle_resolved=bool(phase_state & HALF_CYCLE_RESOLVED),
-        lock_time_s=0.0 if phase_state & RANGE_INTERRUPTED else None,  # reset, or a cycle slip
+        lock_time_s=0.0 if clock_stepped or phase_state & RANGE_INTERRUPTED else None,  # reset, or a cycle slip
         doppler_hz=None if rate is None else -rate / wavelength,
         doppler_sd_hz=None if rate_sd is None else rate_sd / wavelength, cn0_db_hz=number(row, "cn0dbhz"),
     )  # fmt: skip

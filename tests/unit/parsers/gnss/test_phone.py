@@ -164,6 +164,61 @@ def test_a_reset_a_slip_and_an_invalid_phase_are_told_by_their_flags() -> None:
     assert by_number[11].carrier_phase_cycles is None
 
 
+@pytest.mark.parametrize("early_s", [-0.0005, 0.0, 0.0005])
+def test_an_epoch_beside_the_millisecond_of_its_fix_resets_no_clock(early_s: float) -> None:
+    """Delays of the network up to 0.15 s: fixes stay on one line, which the least delay gives."""
+    rng, gnss, offsets, epochs = random.Random(1), GnssParser(GnssConfig()), [], []
+    for k in range(60):
+        received_ns = UTC_MS * MS + round((k + 0.1 + 0.15 * rng.random()) * NS)
+        data = f"{raw(k - early_s, 5)}\n{fix(float(k))}\n".encode()
+        for message in gnss.handle(GnssRaw(received_ns=received_ns, source="phone", data=data)):
+            if isinstance(message, GnssFix):
+                offsets.append((message.sampled_ns - UTC_MS * MS) / NS - k)
+            elif isinstance(message, GnssRawEpoch):
+                epochs.append((message.sampled_ns - UTC_MS * MS) / NS - round((message.gps_time_ns - GPS_NS) / NS))
+    assert len(offsets) == 60 and len(epochs) >= 58
+    for found in (offsets[10:], epochs[10:]):
+        assert max(found) - min(found) < 0.025
+
+
+@pytest.mark.parametrize("utc_ms", ["9999999999999", "4611686018428", "1e13", "9e18", "-1"])
+def test_a_fix_whose_time_no_clock_holds_is_rejected(utc_ms: str) -> None:
+    line = fix(0.0).replace(str(UTC_MS), utc_ms)
+    found, rejects = parsed(list(pieces_of([line, fix(1.0)], 1 << 20)))
+    assert len(of_kind(found, GnssFix)) == 1 and rejects == {"phone_fix": 1}
+
+
+def test_after_a_step_of_the_receivers_clock_all_phases_of_the_epoch_begin_again() -> None:
+    def counted(second: float, satellite: int, count: str) -> str:
+        parts = raw(second, satellite).split(",")
+        parts[10] = count
+        return ",".join(parts)
+
+    counts = ["4", "4", "5", "5", "", "5"]
+    lines = [counted(k, satellite, count) for k, count in enumerate(counts) for satellite in (3, 7)]
+    epochs = of_kind(parsed(list(pieces_of([*lines, raw(6, 3)], 1 << 20)))[0], GnssRawEpoch)
+    locks = [[one.lock_time_s for one in epoch.measurements] for epoch in epochs]
+    assert locks == [[None, None], [None, None], [0.0, 0.0], *[[None, None]] * 3]
+
+
+@pytest.mark.parametrize("kept", ["Accel", "Gyro"])
+def test_a_calibrated_sensor_is_used_again_after_a_second_without_the_other(kept: str) -> None:
+    """One line of the uncalibrated sensor does not silence the calibrated one for good."""
+    imu, times = ImuParser(ImuConfig()), []
+    for k in range(300):
+        t = k / 100
+        lines = [sensor("Accel", t, 0.0, 0.0, 9.81), sensor("Gyro", t, 0.0, 0.0, 0.1)]
+        if k == 50:
+            lines.append(sensor(f"Uncal{kept}", t + 0.001, 0.0, 0.0, 9.81 if kept == "Accel" else 0.1))
+        data = "".join(f"{line}\n" for line in lines).encode()
+        for message in imu.handle(ImuRaw(received_ns=UTC_MS * MS + round(t * NS), source="phone/imu", data=data)):
+            if isinstance(message, ImuSamples):
+                times += [t] * len(message.sampled_ns)
+    assert sum(t < 0.5 for t in times) >= 48
+    assert not [t for t in times if 0.6 < t < 1.4], "the other one is in use"
+    assert sum(t > 1.6 for t in times) >= 135
+
+
 def test_words_of_a_subframe_are_those_of_a_receiver() -> None:
     words = [0x22C00000 + 12345 * k & 0x3FFFFFFF for k in range(10)]
     data = ",".join(str(byte - 256 if byte > 127 else byte) for word in words for byte in word.to_bytes(4, "big"))
