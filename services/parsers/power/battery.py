@@ -18,6 +18,7 @@ MAX_STEP_V = 1.0
 SILENT_BUS = b"\xff\xff\xff\xff"  # no device answers: the lines stay high
 SETTLING_NS = 60 * NS  # after the mains are lost, in which the voltage falls by the load alone
 LEAST_USED = 0.02  # [-] of the charge, below which its fall is mostly noise of the voltage
+LONGER = 1.2  # [-] share of the wanted time that a battery lasts by which it is not short of it any more
 STEPS = 5  # readings in a row that confirm a voltage after a step
 
 
@@ -148,6 +149,14 @@ class Autonomy:
         if used < LEAST_USED:
             return None
         return max(charge - low_ratio, 0.0) / used * (now_ns - begun_ns) / NS
+
+
+def is_short(left_s: float | None, wanted_s: float, *, was_low: bool) -> bool:
+    """Whether a battery lasts less than is wanted; once it counts as low, until it lasts clearly longer.
+
+    The time left is by a charge that is estimated from a voltage with noise.
+    """
+    return left_s is not None and left_s < (LONGER * wanted_s if was_low else wanted_s)
 
 
 class LowBattery:

@@ -11,7 +11,7 @@ from shared.messages.base import Message, Tick
 from shared.messages.power import PowerEvent, PowerRaw, PowerState
 from shared.runtime.config import Section
 
-from .battery import NS, Autonomy, Decoder, Limits, LowBattery, Reading, SteadySupply
+from .battery import NS, Autonomy, Decoder, Limits, LowBattery, Reading, SteadySupply, is_short
 
 MAX_CONSUMPTION_W = 1000.0  # beyond it a shunt is wrong
 SILENCE_TIMEOUT_NS = 5 * NS  # readings come every second
@@ -95,6 +95,7 @@ class Process:
         self._is_low = False
         self._autonomy = Autonomy()
         self._left_s: float | None = None  # until the battery is low
+        self._short = False  # it lasts less than is wanted
 
     def handle(self, message: Message) -> Iterator[PowerState | PowerEvent]:
         """Process a reading or a tick."""
@@ -117,14 +118,14 @@ class Process:
         low_ratio = self._config.low_charge_ratio
         lasting = replace(reading, on_battery=self._supply.on_battery is True)
         self._left_s = self._autonomy.left_s(lasting, raw.received_ns, low_ratio)
-        short = self._left_s is not None and self._left_s < self._config.low_autonomy_s
-        self._is_low = self._low.update(reading, raw.received_ns, low_ratio, short=short)
+        self._short = is_short(self._left_s, self._config.low_autonomy_s, was_low=was_low)
+        self._is_low = self._low.update(reading, raw.received_ns, low_ratio, short=self._short)
         self._reading = reading = lasting
         self._read_ns = raw.received_ns
         if self._is_low is not was_low or (changed and (reading.on_battery or not first)):
             yield PowerEvent(
                 sampled_ns=raw.received_ns, source=raw.source, on_battery=reading.on_battery, low=self._is_low,
-                reason=_text(reading, self._is_low),
+                reason=self._text(reading),
             )  # fmt: skip
 
     def _state(self, now_ns: int) -> PowerState:
@@ -134,9 +135,18 @@ class Process:
         return PowerState(
             sampled_ns=now_ns, source=self._source or "", on_battery=reading.on_battery, since_ns=self._supply.since_ns,
             voltage_v=reading.voltage_v, current_a=reading.current_a, charge_ratio=reading.charge_ratio,
-            low=self._is_low, low_s=self._low.below_s(), reason=_text(reading, self._is_low),
+            low=self._is_low, low_s=self._low.below_s(), reason=self._text(reading),
             consumption_w=_consumption_w(reading), autonomy_s=self._left_s,
         )  # fmt: skip
+
+    def _text(self, reading: Reading) -> str:
+        charge = reading.charge_ratio
+        left = "" if charge is None else f", about {charge:.0%} left"
+        if self._is_low and self._short and charge is not None and charge > self._config.low_charge_ratio:
+            return f"battery lasts less than the {self._config.low_autonomy_s:.0f} s of low_autonomy_s{left}"
+        if self._is_low:
+            return f"battery nearly empty{left}"
+        return f"on battery{left}" if reading.on_battery else f"mains{left.replace(' left', ' charged')}"
 
 
 def _consumption_w(reading: Reading) -> float | None:
@@ -144,10 +154,3 @@ def _consumption_w(reading: Reading) -> float | None:
     if not reading.on_battery or reading.voltage_v is None or reading.current_a is None:
         return None
     return min(max(0.0, -reading.voltage_v * reading.current_a), MAX_CONSUMPTION_W)
-
-
-def _text(reading: Reading, low: bool) -> str:
-    left = "" if reading.charge_ratio is None else f", about {reading.charge_ratio:.0%} left"
-    if low:
-        return f"battery nearly empty{left}"
-    return f"on battery{left}" if reading.on_battery else f"mains{left.replace(' left', ' charged')}"

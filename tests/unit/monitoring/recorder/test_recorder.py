@@ -398,7 +398,7 @@ def test_the_file_is_closed_before_the_power_ends_and_a_new_one_begins_when_it_i
     states = [message for message in bus.published if isinstance(message, RecordingState)]
     assert finished == [True] and len(list(folder.glob("*.mcap"))) == 2
     assert [state.recording for state in states] == [True] * 3 + [False] * 3 + [True] * 3
-    assert "nearly empty" in (states[4].reason or "")
+    assert "about to end" in (states[4].reason or "")
 
 
 def test_a_mode_that_the_broker_has_kept_closes_nothing(tmp_path: Path) -> None:

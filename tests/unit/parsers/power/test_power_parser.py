@@ -5,6 +5,7 @@ import random
 import pytest
 from pydantic import ValidationError
 
+from services.parsers.power.battery import is_short
 from services.parsers.power.process import Config, Process
 from shared.messages.base import Tick
 from shared.messages.power import PowerEvent, PowerProtocol, PowerRaw, PowerState
@@ -220,3 +221,28 @@ def test_a_battery_that_lasts_less_than_is_wanted_counts_as_nearly_empty() -> No
         lows[wanted_s] = second
     assert lows[0.0] == 2999, "half of the charge is left"
     assert 5400 - 3600 < lows[3600.0] < 5400 - 3600 + 60
+
+
+def test_a_battery_that_lasts_less_than_is_wanted_has_its_own_reason_and_noise_does_not_change_it() -> None:
+    """Noise of 1 % of the charge moves the time left by minutes around the limit."""
+    rng = random.Random(1)
+    run = Run(Config(low_autonomy_s=3600.0))
+    run.read(ina219(8.4, 0.2), 130)
+    for second in range(3000):
+        state = run.read(ina219(8.4 - 2.4 * second / 6000.0 + rng.gauss(0.0, 0.024), -0.5))
+    assert state.low and "nearly empty" not in state.reason and "less than the 3600 s" in state.reason
+    changes = [event.low for event in run.events if event.on_battery]
+    assert changes == [False, True], "low once"
+    for _ in range(3000):
+        second += 1
+        state = run.read(ina219(8.4 - 2.4 * second / 6000.0, -0.5))
+    assert "nearly empty" in state.reason
+    assert not run.read(ina219(8.2, 0.5), 20).low
+
+
+@pytest.mark.parametrize(
+    ("left_s", "was_low", "short"),
+    [(99.0, False, True), (101.0, False, False), (119.0, True, True), (121.0, True, False), (None, True, False)],
+)
+def test_the_limit_of_the_time_left_has_hysteresis(left_s: float | None, *, was_low: bool, short: bool) -> None:
+    assert is_short(left_s, 100.0, was_low=was_low) is short
