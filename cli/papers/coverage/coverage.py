@@ -66,6 +66,8 @@ class Row(_Part):
         held = self.status in HELD
         if held and not (self.command and (self.test or self.numbers)):
             raise ValueError(f"{self.item}: {self.status.value} by which command, and held by which test or number?")
+        if held and not self.numbers and "::" not in self.test:
+            raise ValueError(f"{self.item}: {self.status.value} without a number, by which function of a test?")
         if self.status is not Status.REPRODUCED and not self.why:
             raise ValueError(f"{self.item}: {self.status.value}, and no reason")
         if held and any(number.tolerance is None for number in self.numbers):

@@ -2,7 +2,7 @@
 
 from shared.bus.contract import table
 
-from .coverage import Coverage, Row, Status, compared, coverage, names, stored
+from .coverage import HELD, Coverage, Row, Status, compared, coverage, names, stored
 
 COLUMNS = ("item", "shows", "status", "paper: ours", "command, or why not")
 HEAD = """# What of the papers is reproduced
@@ -12,13 +12,14 @@ name: the papers are not part of the repository, and a figure that these documen
 Numbers beside the paper's are of the results in `benchmarks/results/papers`, each with the version of the code;
 `make papers KEEP=1` computes them again. `obu papers list` prints these tables. *Reproduced* numbers are held by
 `tests/scenarios/papers/test_coverage.py`, and so are *fitted* ones, to which the simulation was fitted: agreement there
-is no independent evidence.
+is no independent evidence. A figure without a number is *reproduced* by a test of its form, which is named.
 """
 
 
 def cells(name: str, row: Row) -> tuple[str, ...]:
     """One row as texts."""
-    last = "; ".join(text for text in (row.command and f"`{row.command}`", row.why) if text)
+    form = f"held by `tests/{row.test}`" if row.status in HELD and not row.numbers else ""
+    last = "; ".join(text for text in (row.command and f"`{row.command}`", form, row.why) if text)
     return row.item, row.shows or "-", row.status.value, compared(row, stored(name)) or "-", last
 
 

@@ -19,6 +19,7 @@ from cli.papers.coverage.coverage import (
     stored,
     value_at,
 )
+from cli.papers.coverage.page import cells
 from cli.papers.papers import listed
 from shared.errors import UserError
 
@@ -98,10 +99,20 @@ def test_what_is_not_there_or_not_complete_is_an_error() -> None:
         value_at({"a": "text"}, ("a",))
     with pytest.raises(ValueError, match="which command"):
         Row(item="figure 1", shows="x", status=Status.REPRODUCED)
+    with pytest.raises(ValueError, match="which function of a test"):
+        Row(item="x", shows="x", status=Status.REPRODUCED, command="obu papers toll", test="file.py")
     with pytest.raises(ValueError, match="no reason"):
         Row(item="figure 1", shows="x", status=Status.DIFFERS)
     with pytest.raises(UserError, match="choose of"):
         coverage("atlantis")
+
+
+@pytest.mark.parametrize("paper", PAPERS)
+def test_what_is_reproduced_without_a_number_names_its_test_and_ours_is_never_the_papers_own(paper: str) -> None:
+    for row in coverage(paper).rows:
+        if row.status is Status.REPRODUCED and not row.numbers:
+            assert row.test in cells(paper, row)[-1]
+        assert not any("published" in map(str, number.at) for number in row.numbers), "that is not computed"
 
 
 def test_the_lists_are_printed_with_the_texts_numbers_beside_ours(capsys: pytest.CaptureFixture[str]) -> None:
