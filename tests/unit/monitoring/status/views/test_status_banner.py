@@ -294,6 +294,9 @@ def test_a_rejected_measurement_and_the_state_of_the_filter_are_shown_as_inputs(
         filter_says="17 fixes without a position",
     )
     assert check(evidence, f"gate {kind}") == (Trust.CAUTION, "470 % of limit, discarded")
+    by_phases = {AidingKind.CARRIER_DISPLACEMENT: (aiding(AidingKind.CARRIER_DISPLACEMENT, 0.2), 0.5)}
+    carried = changed(aiding={kind: (aiding(kind, 0.3, used=False), 0.5), **by_phases})
+    assert check(carried, f"gate {kind}")[0] is Trust.SAFE, "displacements stand in for it"
     assert check(evidence, "phase") == (Trust.CAUTION, "waiting for GNSS; 17 fixes without a position")
     coded = dataclasses.replace(evidence, filter_codes=(explain("fusion.no_position_yet"),))
     assert check(coded, "phase") == (Trust.CAUTION, "waiting for GNSS; level, no position yet")
