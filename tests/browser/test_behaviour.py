@@ -670,6 +670,8 @@ def test_a_phone_page_is_three_screens_long_and_folds(
     expect(page.locator("main .card-fold").first).to_be_visible()
     assert page.evaluate("document.documentElement.scrollHeight") <= 2500
     card = page.locator("main .folds").first
+    if path == "now":
+        expect(page.locator("[aria-labelledby=speed] header .note")).to_be_visible()
     card.locator(".card-fold").focus()
     page.keyboard.press("Enter")
     expect(card.locator(".card-fold")).to_have_attribute("aria-expanded", "true")
