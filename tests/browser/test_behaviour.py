@@ -682,6 +682,15 @@ def test_a_phone_page_is_three_screens_long_and_folds(
     assert not faults(page)
 
 
+def test_a_card_that_warns_is_not_folded_on_a_phone(
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
+) -> None:
+    page = open_page(units["alarm"].address, path="trust", viewport={"width": 390, "height": 844})
+    expect(page.locator("[aria-labelledby=monitors] table")).to_be_visible()
+    expect(page.locator("[aria-labelledby=monitors] .card-fold")).to_have_count(0)
+    expect(page.locator("[aria-labelledby=events] .card-fold")).to_be_visible()
+
+
 def test_times_are_those_of_the_browsers_place_where_that_is_chosen(
     units: dict[str, RunningServer], browser: Browser
 ) -> None:
