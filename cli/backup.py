@@ -8,7 +8,6 @@ within its bound, each with its digest.
 import hashlib
 import os
 import re
-import shutil
 import urllib.error
 import urllib.request
 import zipfile
@@ -23,12 +22,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from services.monitoring.status.web.access.tokens import tokens_folder
 from shared import VERSION, shipped
-from shared.bounded import TOML_BYTES
+from shared.bounded import TOML_BYTES, SizeExceeded
 from shared.errors import UserError
 from shared.evidence import keys_folder
 from shared.fleet.identity import identity_folder
 from shared.runtime.config import VehicleFile, address_file, load_vehicle, parse_vehicle, state_dir
 from shared.runtime.overlay import settings_folder
+from shared.runtime.private import STATE
+
+from .unit_files import delete, is_plain, read_plain, replace
 
 VehicleOption = Annotated[
     Path | None, typer.Option("--vehicle", metavar="FILE", help="The vehicle's TOML file; without it OBU_VEHICLE.")
@@ -37,6 +39,8 @@ ABOUT, SETTINGS = "about.json", "vehicle.toml"
 FILE_BYTES, ABOUT_BYTES, FILES = 4 << 20, 1 << 20, 200
 MODES = 0o660  # the rights that a restored file may have
 ANSWER_S = 2.0
+BACKUPS = Path("/var/backups/obu")  # of deploy/install.sh, before an upgrade
+LEFT = r"(?:\.old|\.part|\.old\.part)?"  # what a replaced file leaves beside it
 
 
 @dataclass(frozen=True)
@@ -105,11 +109,11 @@ def backup(
     contents: list[bytes] = []
     for name, source in _present(state, secrets=not without_keys):
         try:
-            content, mode = source.read_bytes(), source.stat().st_mode & 0o7777
+            content, mode = read_plain(source, FILE_BYTES)
         except OSError as error:
             raise UserError(f"cannot read {source}: {error.strerror}; run the command with `sudo`") from error
-        if len(content) > FILE_BYTES:
-            raise UserError(f"{source} has more than {FILE_BYTES} bytes: move it away, it is no file of the unit")
+        except SizeExceeded as error:
+            raise UserError(f"cannot keep {source}: {error}; move it away, it is no file of the unit") from error
         stored.append(StoredFile(name=name, sha256=hashlib.sha256(content).hexdigest(), mode=mode))
         contents.append(content)
     text = unit.text.encode()
@@ -158,11 +162,11 @@ def restore(
     _insist_on_rest(state)
     try:
         state.mkdir(parents=True, exist_ok=True)
-        _replace(target, text.encode(), 0o644)
+        replace(target, text.encode(), 0o644)
         _set_aside_changes(state)
         for name, content, mode in files:
             place, _, rest = name.partition("/")
-            _replace(PLACES[place].folder(state) / rest, content, mode)
+            replace(PLACES[place].folder(state) / rest, content, mode)
     except OSError as error:
         raise UserError(
             f"cannot write {error.filename}: {error.strerror}; run the command with `sudo`, or make room, and repeat it"
@@ -174,14 +178,15 @@ def restore(
 def reset(
     *,
     everything: Annotated[
-        bool, typer.Option("--all", help="Also delete keys, enrolment and recordings, as before the unit is passed on.")
+        bool,
+        typer.Option("--all", help="Also delete keys, enrolment and recordings, as before the unit is passed on."),
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
     vehicle: VehicleOption = None,
 ) -> int:
     """Put the unit back to how it was delivered: shipped settings, no logins, nothing learned.
 
-    Recordings, keys and the enrolment stay, unless `--all` is given. The vehicle's file is kept as `.old`.
+    Recordings, keys and the enrolment stay, and the vehicle's file as `.old`, unless `--all` is given.
 
     Examples:
     [bold]sudo obu reset[/]
@@ -189,22 +194,24 @@ def reset(
     """
     state, target = state_dir(), _vehicle_path(vehicle)
     _insist_on_rest(state)
-    delivered = _delivered(load_vehicle(vehicle))
-    doomed = [path for name, path in _present(state, secrets=True) if everything or name.split("/")[0] in LIGHT]
-    doomed += [path for path in (*state.glob("status.*.jsonl"), settings_folder(state)) if path.exists()]
+    units = _readable(vehicle, target)
+    delivered = _delivered(units[0] if units else None, target)
+    doomed = [path for path in _learned(state, everything=everything) if _is_there(path)]
     if everything:
-        doomed += [folder for folder in (state / "recordings", state / "jobs", state / "toll") if folder.is_dir()]
-    for path in doomed:
-        print(f"deletes {path}")
+        doomed += [path for path in (*_whole(state, units), target.with_name(f"{target.name}.old")) if _is_there(path)]
+    for path in dict.fromkeys(doomed):
+        print(f"deletes {path}" + (f", a link: what is in {path.readlink()} stays" if path.is_symlink() else ""))
     print(f"replaces {target} by {delivered.name}")
+    if not units:
+        print(f"{target} cannot be read: a folder of recordings that it names elsewhere is not known, and stays")
     if not yes and not typer.confirm("Reset the unit?"):
         print("nothing was changed")
         return 1
     try:
         content = delivered.read_bytes()
-        for path in doomed:
-            _empty(path) if path.is_dir() else path.unlink()
-        _replace(target, content, 0o644)
+        for path in dict.fromkeys(doomed):
+            delete(path)
+        replace(target, content, 0o644, keep_old=not everything)
     except OSError as error:
         raise UserError(f"cannot delete {error.filename}: {error.strerror}; run the command with `sudo`") from error
     print("reset; start the unit, and log in with `obu token show-link`")
@@ -212,6 +219,34 @@ def reset(
 
 
 LIGHT = ("state", "page")  # places that every reset empties
+
+
+def _learned(state: Path, *, everything: bool) -> Iterator[Path]:
+    """Files of the places that a reset empties, with what was replaced of them, and what the page has written."""
+    for place, rule in PLACES.items():
+        if everything or place in LIGHT:
+            yield from (path for path in _listed(rule.folder(state)) if re.fullmatch(rule.names + LEFT, path.name))
+    yield from state.glob("status.*.jsonl")
+    yield settings_folder(state)
+
+
+def _whole(state: Path, units: list[VehicleFile]) -> Iterator[Path]:
+    """Folders and files of a unit besides: drives, reports, logs, the ledger, and backups of the installer."""
+    yield from (state / name for name in ("recordings", "jobs", "toll", "logs", "ends", "uplink", "set_up.json"))
+    for unit in units:
+        named = state / str(unit.tables.get("monitoring.recorder", {}).get("folder", "recordings"))
+        if named.resolve().is_relative_to(state.resolve() / "recordings"):
+            continue
+        # Another folder may hold files of others: those of the recorder go.
+        yield from (path for path in _listed(named) if ".mcap" in path.suffixes)
+        ledger = state / str(unit.tables.get("monitoring.ledger", {}).get("file", "toll/ledger.sqlite"))
+        yield from (ledger.with_name(f"{ledger.name}{end}") for end in ("", "-wal", "-shm", "-journal"))
+    if state == STATE:
+        yield BACKUPS
+
+
+def _is_there(path: Path) -> bool:
+    return path.is_symlink() or path.exists()
 
 
 def read_backup(file: Path) -> tuple[About, str, list[tuple[str, bytes, int]]]:
@@ -265,42 +300,24 @@ def _present(state: Path, *, secrets: bool) -> Iterator[tuple[str, Path]]:
     for place, rule in PLACES.items():
         if rule.secret and not secrets:
             continue
-        folder = rule.folder(state)
-        try:
-            paths = sorted(folder.iterdir()) if folder.is_dir() else []
-        except OSError as error:
-            raise UserError(f"cannot read {folder}: {error.strerror}; run the command with `sudo`") from error
         yield from (
             (f"{place}/{path.name}", path)
-            for path in paths
-            if path.is_file() and not path.is_symlink() and re.fullmatch(rule.names, path.name)
+            for path in _listed(rule.folder(state))
+            if is_plain(path) and re.fullmatch(rule.names, path.name)
         )
+
+
+def _listed(folder: Path) -> list[Path]:
+    try:
+        return sorted(folder.iterdir()) if folder.is_dir() else []
+    except OSError as error:
+        raise UserError(f"cannot read {folder}: {error.strerror}; run the command with `sudo`") from error
 
 
 def _report(names: Iterator[str]) -> None:
     found = [name.split("/")[0] for name in names]
     for place, rule in PLACES.items():
         print(f"{rule.meaning}: {found.count(place) or 'nothing'}")
-
-
-def _replace(path: Path, content: bytes, mode: int) -> None:
-    """Write a file in place of another, which stays as `.old`; owner and group are its, else those of its folder."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    like = (path if path.exists() else path.parent).stat()
-    part = path.with_name(f"{path.name}.part")
-    part.unlink(missing_ok=True)
-    with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-        os.fchmod(file.fileno(), mode)
-        if os.geteuid() == 0:
-            os.fchown(file.fileno(), like.st_uid, like.st_gid)
-    if path.exists():
-        old = path.with_name(f"{path.name}.old")
-        shutil.copy2(path, old)
-        old.chmod(0o600)
-    part.replace(path)
 
 
 def _set_aside_changes(state: Path) -> None:
@@ -310,12 +327,6 @@ def _set_aside_changes(state: Path) -> None:
         changed.replace(changed.with_name(f"{SETTINGS}.old"))
 
 
-def _empty(folder: Path) -> None:
-    """Delete what a folder holds; the folder itself stays, with its owner and rights."""
-    for path in folder.iterdir():
-        shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
-
-
 def _vehicle_path(vehicle: Path | None) -> Path:
     named = vehicle or (Path(os.environ["OBU_VEHICLE"]) if os.environ.get("OBU_VEHICLE") else None)
     if named is None:
@@ -323,9 +334,31 @@ def _vehicle_path(vehicle: Path | None) -> Path:
     return named
 
 
-def _delivered(unit: VehicleFile) -> Path:
-    """The shipped file of the kind of a unit."""
-    kind = "rsu" if unit.role == "rsu" else "simulated" if "sensors.simulator" in unit.tables else "pi"
+def _readable(vehicle: Path | None, target: Path) -> list[VehicleFile]:
+    """The settings that hold, and those of the vehicle's file: each that can be read."""
+    found = []
+    for name in (vehicle, target):
+        try:
+            found.append(load_vehicle(name))
+        except UserError:
+            continue  # a reset is also for settings that are broken
+    return found
+
+
+def _delivered(unit: VehicleFile | None, target: Path) -> Path:
+    """The shipped file of the kind of a unit; of one whose settings are broken, by what their text looks like."""
+    try:
+        rsu, simulated = (unit.role == "rsu", "sensors.simulator" in unit.tables) if unit else (None, False)
+    except UserError:
+        rsu = None
+    if rsu is None:
+        try:
+            text = read_plain(target, TOML_BYTES)[0].decode(errors="replace")
+        except (OSError, SizeExceeded):
+            text = ""
+        rsu = re.search(r"""^\s*role\s*=\s*["']rsu""", text, re.M) is not None
+        simulated = re.search(r"^\s*\[sensors\.simulator\b", text, re.M) is not None
+    kind = "rsu" if rsu else "simulated" if simulated else "pi"
     return shipped(Path(f"deploy/vehicles/{kind}.toml"))
 
 

@@ -1,8 +1,11 @@
 """QR codes in a terminal: of a login, and of the Wi-Fi network that deploy/install.sh has set up."""
 
 import configparser
+import re
 import sys
 from pathlib import Path
+
+_ESCAPES = {"s": " ", "t": "\t", "n": "\n", "r": "\r"}
 
 
 def show(text: str) -> None:
@@ -30,9 +33,27 @@ def network_of(connection: str) -> tuple[str, str]:
     parser = configparser.ConfigParser(interpolation=None)
     try:
         parser.read_string(connection)
-        return parser["wifi"]["ssid"], parser["wifi-security"]["psk"]
+        return name_of(parser["wifi"]["ssid"]), _unescaped(parser["wifi-security"]["psk"])
     except (configparser.Error, KeyError) as error:
         raise ValueError("it is no connection of NetworkManager with a passphrase") from error
+
+
+def name_of(written: str) -> str:
+    """Name of a network as a connection file has it: a text with escapes, or its bytes as a list of numbers.
+
+    References
+    ----------
+    nm-settings-keyfile(5): `ssid=Home` or `ssid=72;111;109;101;`; a semicolon in a text has a backslash before it.
+    """
+    numbers = [int(digits) for digits in re.findall(r"\d+", written)]
+    if re.fullmatch(r"(?:\d{1,3} *; *){1,32}", written) and max(numbers) < 256:
+        return bytes(numbers).decode("utf-8", "replace")
+    return _unescaped(written)
+
+
+def _unescaped(written: str) -> str:
+    """Text without the escapes of GLib's key files, which are a backslash and s, t, n, r or the character."""
+    return re.sub(r"\\(.)", lambda found: _ESCAPES.get(found[1], found[1]), written)
 
 
 def main() -> int:

@@ -1,6 +1,7 @@
 """`obu token`: who may open the page of a unit."""
 
 import os
+import re
 import socket
 import time
 from datetime import UTC, datetime
@@ -13,13 +14,16 @@ import typer
 
 from services.monitoring.status.web.access.rights import MEANING, Right
 from services.monitoring.status.web.access.tokens import Tokens, tokens_folder
+from shared.bounded import TOML_BYTES, read_text
 from shared.bus.contract import table
 from shared.errors import UserError
 from shared.runtime.config import address_file, state_dir
+from shared.runtime.private import STATE
 
 from .qr import show
 
 LINK_MINUTES = 15.0
+SERVICES_ENVIRONMENT = Path("/etc/obu/obu.env")  # of deploy/systemd
 SHOWN_OF_HASH = 8
 DAY_S = 86_400.0
 
@@ -120,7 +124,13 @@ def show_link(
     """
     folder = state_dir()
     secret = _tokens().add_temporary("link", Right(role), seconds=minutes * 60.0, single_use=True)
-    link = login_link(address or page_address(folder), secret)
+    reached = address or page_address(folder)
+    if qr and not address and not is_beyond_loopback(urlsplit(reached).hostname):
+        if outside := listens_on_network(installed_host(folder)) and network_address(port_of(reached)):
+            reached = outside
+        else:
+            typer.echo(f"a phone does not reach {reached}: name the address it reaches with --address", err=True)
+    link = login_link(reached, secret)
     if qr:
         show(link)
     print(link)
@@ -152,10 +162,26 @@ def network_address(port: int) -> str | None:
     return None if host.startswith("127.") else f"http://{host}:{port}"
 
 
-def listens_on_network() -> bool:
-    """Whether the environment lets the page listen beyond this machine."""
-    host = os.environ.get("OBU_HTTP_HOST", "127.0.0.1")
-    return host not in ("localhost", "::1") and not host.startswith("127.")
+def installed_host(folder: Path) -> str | None:
+    """Where the page of an installed unit listens, by the file that its services have as environment."""
+    if folder != STATE:
+        return None
+    try:
+        text = read_text(SERVICES_ENVIRONMENT, TOML_BYTES)
+    except (OSError, ValueError):
+        return None
+    found = re.findall(r"""^OBU_HTTP_HOST=["']?([^"'\s]+)""", text, re.M)
+    return found[-1] if found else None
+
+
+def listens_on_network(installed: str | None = None) -> bool:
+    """Whether the environment, or that of the installed unit, lets the page listen beyond this machine."""
+    return is_beyond_loopback(installed or os.environ.get("OBU_HTTP_HOST", "127.0.0.1"))
+
+
+def is_beyond_loopback(host: str | None) -> bool:
+    """Whether other machines may reach a host."""
+    return host is not None and host not in ("localhost", "::1") and not host.startswith("127.")
 
 
 def port_of(address: str) -> int:

@@ -11,7 +11,8 @@ UNIT=/opt/obu CONFIG=/etc/obu STATE=/var/lib/obu SECRETS=/var/lib/obu-private CO
 BACKUPS=/var/backups/obu
 ACCESS_POINT=/etc/NetworkManager/system-connections/obu-access-point.nmconnection
 NAME=/etc/avahi/services/obu.service
-PORT=8080
+SETTINGS=$SECRETS/settings # changed on the page
+ADDRESS=$SECRETS/page/status.address # where the page says it listens
 LOG=${OBU_INSTALL_LOG:-/var/log/obu-install.log}
 ROOM_MB=2000 # packages, and what pip unpacks meanwhile
 STEPS=7 START_S=120 # until the page answers
@@ -64,13 +65,26 @@ system_of() { # key of os-release
     sed -n "s/^$1=//p" "${OBU_OS_RELEASE:-/etc/os-release}" | tr -d '"'
 }
 
+# Whether Python is 3.11 or newer: that which is installed, else that which would be.
+python_is_new() {
+    if command -v python3 >/dev/null; then
+        python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))'
+    else
+        apt-cache policy python3 2>/dev/null | awk '/Candidate:/ { split($2, v, "."); exit !(v[1] == 3 && v[2] >= 11) }'
+    fi
+}
+
 check_machine() {
     case " $(system_of ID) $(system_of ID_LIKE) " in
     *" debian "*) ;;
     *) fail "this is $(system_of PRETTY_NAME): Debian or Raspberry Pi OS, 12 or 13, is needed; elsewhere use containers (docs/how-to/run-in-containers.md)" ;;
     esac
     release=$(system_of VERSION_ID)
-    [ "${release%%.*}" -ge 12 ] 2>/dev/null ||
+    case $(system_of ID) in
+    debian | raspbian) release=${release:-99} ;; # testing has no number
+    *) release=0 ;;                              # its numbers are its own: its Python decides
+    esac
+    [ "${release%%.*}" -ge 12 ] 2>/dev/null || { [ "$release" = 0 ] && python_is_new; } ||
         fail "this is $(system_of PRETTY_NAME): its Python is older than 3.11; install Debian or Raspberry Pi OS 12 or 13"
     [ "$(getconf LONG_BIT)" = 64 ] || fail "this system has 32 bit; install the one with 64 bit"
     [ "$(id -u)" = 0 ] || fail "root rights are needed: run it with sudo"
@@ -137,11 +151,14 @@ configure() {
     elif [ -n "$simulated" ] && ! grep -q '^\[sensors.simulator' "$CONFIG/vehicle.toml"; then
         fail "$CONFIG/vehicle.toml is that of a vehicle with devices: move it away for a simulated one"
     else
-        quietly "$UNIT/.venv/bin/python" -m cli migrate "$CONFIG/vehicle.toml"
+        quietly env OBU_VEHICLE="$CONFIG/vehicle.toml" OBU_STATE="$STATE" \
+            "$UNIT/.venv/bin/python" -m cli migrate "$CONFIG/vehicle.toml"
     fi
     if [ ! -e "$CONFIG/obu.env" ]; then
         install -m 644 "$UNIT/deploy/systemd/obu.env" "$CONFIG/obu.env"
         [ -n "$local_only" ] || sed -i 's/^OBU_HTTP_HOST=.*/OBU_HTTP_HOST=0.0.0.0/' "$CONFIG/obu.env"
+    elif [ -n "$local_only" ]; then
+        echo "    --local changes nothing here: set OBU_HTTP_HOST in $CONFIG/obu.env, and restart the unit"
     fi
     cat >"$COMMAND" <<'TEXT'
 #!/bin/sh
@@ -160,6 +177,7 @@ TEXT
 
 start_services() {
     step "services of systemd"
+    rm -f "$ADDRESS" # that of the process that is replaced
     quietly env OBU_NO_LINK=1 "$UNIT/deploy/systemd/install.sh" # a login does not belong into a log
 }
 
@@ -171,14 +189,16 @@ announce() {
 <!DOCTYPE service-group SYSTEM "avahi-service.dtd">
 <service-group>
   <name replace-wildcards="yes">On-board unit %h</name>
-  <service><type>_http._tcp</type><port>$PORT</port></service>
+  <service><type>_http._tcp</type><port>$port</port></service>
 </service-group>
 TEXT
     for service in avahi-daemon chrony; do
         systemctl enable --quiet --now "$service" >>"$LOG" 2>&1 || echo "    $service does not start; see: systemctl status $service"
     done
     [ -n "$ssid" ] || return 0
-    if [ ! -e "$ACCESS_POINT" ]; then
+    if [ -e "$ACCESS_POINT" ]; then
+        echo "    the access point of $ACCESS_POINT stays as it is; remove that file for another one"
+    else
         passphrase=$(LC_ALL=C tr -dc 'a-km-np-z2-9' </dev/urandom | head -c 16)
         (
             umask 077
@@ -197,20 +217,47 @@ TEXT
     fi
 }
 
-alive() { # seconds
-    waited=0
-    until "$UNIT/.venv/bin/python" -c "import urllib.request; urllib.request.urlopen('http://127.0.0.1:$PORT/api/alive', timeout=3)" 2>/dev/null; do
-        waited=$((waited + 2))
-        [ "$waited" -lt "$1" ] || return 1
-        sleep 2
+# Units of systemd that the unit's target wants and that do not run.
+not_running() {
+    for target in obu rsu; do
+        systemctl is-enabled --quiet "$target.target" 2>/dev/null || continue
+        for wanted in $(systemctl show --property Wants --value "$target.target"); do
+            systemctl is-active --quiet "$wanted" || echo "$wanted"
+        done
     done
 }
 
-finish() {
+page_answers() {
+    [ -s "$ADDRESS" ] || return 1
+    "$UNIT/.venv/bin/python" -c "import sys, urllib.request as web; web.urlopen(sys.argv[1] + 'api/alive', timeout=3)" \
+        "$(cat "$ADDRESS")" 2>/dev/null
+}
+
+# Whether the page of the processes just started answers and all of them run, at two looks: one may end at once.
+alive() { # seconds
+    waited=0 looks=0
+    while [ "$looks" -lt 2 ]; do
+        if page_answers && [ -z "$(not_running)" ]; then looks=$((looks + 1)); else looks=0; fi
+        [ "$waited" -lt "$1" ] || return 1
+        waited=$((waited + 3))
+        sleep 3
+    done
+}
+
+wait_for_unit() {
     step "the unit starts"
-    alive "$START_S" || fail "the unit does not answer at http://127.0.0.1:$PORT; \`obu doctor\` and \`journalctl -u 'obu@*' -n 50\` say why"
-    host=$(hostname).local
-    grep -q '^OBU_HTTP_HOST=127' "$CONFIG/obu.env" && host=127.0.0.1
+    if ! alive "$START_S"; then
+        page_answers || echo "install: its page does not answer" >&2
+        fail "the unit does not start; what does not run: $(not_running | tr '\n' ' ')
+install: \`obu doctor\` and \`journalctl -u 'obu@*' -n 50\` say why"
+    fi
+    address=$(cat "$ADDRESS")
+    port=${address##*:} port=${port%/}
+}
+
+finish() {
+    host=${address#http://} host=${host%:*}
+    if [ "$host" = 127.0.0.1 ] && ! grep -q '^OBU_HTTP_HOST=127' "$CONFIG/obu.env"; then host=$(hostname).local; fi
     if [ -n "$ssid" ]; then
         echo
         echo "Join the Wi-Fi network with a phone's camera:"
@@ -220,7 +267,7 @@ finish() {
     [ -z "${OBU_NO_LINK:-}" ] || return 0
     echo
     echo "Log in, once, within a day, with a phone's camera or by the link:"
-    "$COMMAND" token show-link --qr --minutes 1440 --address "http://$host:$PORT"
+    "$COMMAND" token show-link --qr --minutes 1440 --address "http://$host:$port"
     echo
     echo "Installed. \`obu doctor\` checks the unit, \`sudo obu token show-link --qr\` makes another login,"
     echo "\`sudo obu-install upgrade\` installs the newest version, \`sudo obu-install remove\` removes it."
@@ -233,16 +280,18 @@ install_unit() {
     build
     configure
     start_services
+    wait_for_unit
     announce
     finish
 }
 
-# The former version comes back where the new one cannot be installed, or its unit does not answer.
+# The former version comes back where the new one cannot be installed, or a process of it does not run.
 upgrade() {
     [ -d "$UNIT/.git" ] || fail "there is no unit in $UNIT; install it first"
     former=$(git -C "$UNIT" rev-parse HEAD)
     saved=$(mktemp -d)
     cp -a "$CONFIG/vehicle.toml" "$saved/"
+    [ ! -d "$SETTINGS" ] || cp -a "$SETTINGS" "$saved/settings"
     install -d -m 700 "$BACKUPS"
     backup="$BACKUPS/before-upgrade-$(date -u +%Y%m%dT%H%M%SZ).zip"
     quietly "$COMMAND" backup -o "$backup"
@@ -255,12 +304,21 @@ upgrade() {
     echo "the new version does not run: going back to ${former%"${former#????????}"}"
     quietly git -C "$UNIT" checkout --quiet --force --detach "$former"
     cp -a "$saved/vehicle.toml" "$CONFIG/vehicle.toml"
+    if [ -d "$saved/settings" ]; then
+        rm -rf "$SETTINGS"
+        cp -a "$saved/settings" "$SETTINGS"
+    fi
     rm -r "$saved"
     number=2
     build
     start_services
     alive "$START_S" && fail "the former version runs again; what kept the new one out is in $LOG"
     fail "the former version does not start either; \`obu doctor\` and $LOG say why"
+}
+
+# Those that deploy/systemd/install.sh has made: their home is the state folder.
+users_of_unit() {
+    getent passwd | awk -F: -v home="$STATE" '$1 ~ /^obu(-|$)/ && $6 == home { print $1 }'
 }
 
 remove() {
@@ -285,12 +343,13 @@ remove() {
         return 0
     fi
     rm -rf "$CONFIG" "$STATE" "$SECRETS" /var/lib/obu-broker "$BACKUPS"
-    for user in $(getent passwd | sed -n 's/^\(obu\(-[a-z0-9-]*\)\{0,1\}\):.*/\1/p'); do
+    for user in $(users_of_unit); do
         userdel "$user" >>"$LOG" 2>&1 || true
     done
     for group in obu obu-evidence; do
         groupdel "$group" >>"$LOG" 2>&1 || true
     done
+    rm -f "$LOG"
     echo "removed, with settings, drives, keys, backups and users. Debian's packages stay."
 }
 
@@ -321,6 +380,9 @@ main() {
     case $from in -*) fail "$from is no address" 2 ;; esac
     [ "${#ssid}" -le 32 ] || fail "the name of a Wi-Fi network has at most 32 characters" 2
     [ -z "$purge" ] || [ "$action" = remove ] || fail "--purge belongs to remove" 2
+    [ -z "$simulated$local_only$ssid" ] || [ "$action" = install ] ||
+        fail "--simulated, --local and --access-point belong to install" 2
+    [ ! -d "$from" ] || from=$(cd "$from" && pwd)
     check_machine
     (umask 077 && : >>"$LOG")
     if [ -z "$from" ] && [ "$action" != remove ]; then
@@ -338,4 +400,4 @@ main() {
     esac
 }
 
-main "$@" && exit
+{ main "$@"; exit; } # in braces: a line that arrives in part runs nothing

@@ -670,6 +670,8 @@ def test_a_phone_page_is_three_screens_long_and_folds(
     expect(page.locator("main .card-fold").first).to_be_visible()
     assert page.evaluate("document.documentElement.scrollHeight") <= 2500
     card = page.locator("main .folds").first
+    if path == "now":
+        expect(page.locator("[aria-labelledby=speed] header .note")).to_be_visible()
     card.locator(".card-fold").focus()
     page.keyboard.press("Enter")
     expect(card.locator(".card-fold")).to_have_attribute("aria-expanded", "true")
@@ -678,6 +680,15 @@ def test_a_phone_page_is_three_screens_long_and_folds(
     page.set_viewport_size({"width": 1360, "height": 850})
     expect(page.locator("main .card-fold")).to_have_count(0)
     assert not faults(page)
+
+
+def test_a_card_that_warns_is_not_folded_on_a_phone(
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
+) -> None:
+    page = open_page(units["alarm"].address, path="trust", viewport={"width": 390, "height": 844})
+    expect(page.locator("[aria-labelledby=monitors] table")).to_be_visible()
+    expect(page.locator("[aria-labelledby=monitors] .card-fold")).to_have_count(0)
+    expect(page.locator("[aria-labelledby=events] .card-fold")).to_be_visible()
 
 
 def test_times_are_those_of_the_browsers_place_where_that_is_chosen(

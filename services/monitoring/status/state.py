@@ -58,6 +58,7 @@ from .judgement import (
     unavailable,
     watchdog_problem,
 )
+from .receiver_geoid import correction_m
 from .series.store import Series
 from .truth_check import TruthCheck
 from .views.banner import KNOWN, Evidence, Trust, Verdict, ratio_of, show
@@ -142,6 +143,7 @@ class State:
         self.gnss = GnssHistory()
         self.track = Track()
         self.alternatives = Alternatives()
+        self.geoid_correction_m: float | None = None  # of the receiver to the grid, as last stated
         self.trust_events: deque[TrustEvent] = deque(maxlen=TRUST_EVENTS)
         self.bus_delay_p95_s: float | None = None
         self._delays_s: deque[float] = deque(maxlen=256)
@@ -221,6 +223,9 @@ class State:
                 self.monitor_producers[message.monitor] = envelope.producer
             case TrustHypotheses():
                 self.alternatives.note(message, envelope.producer, envelope.received_ns)
+            case GnssFix():
+                correction = correction_m(message)
+                self.geoid_correction_m = self.geoid_correction_m if correction is None else correction
             case GateCommand():
                 self.gates[message.lane] = message
             case PlazaDetector():

@@ -12,6 +12,7 @@ from cli import backup as module
 from cli.backup import backup, read_backup, reset, restore
 from services.monitoring.status.web.access.rights import Right
 from services.monitoring.status.web.access.tokens import Tokens
+from shared import shipped
 from shared.errors import UserError
 from shared.evidence import KeyFile
 from shared.runtime.overlay import over, settings_folder
@@ -171,3 +172,67 @@ def test_a_running_unit_is_left_alone(first: Path, tmp_path: Path, monkeypatch: 
 
 def running(_state: Path) -> None:
     raise UserError("the unit runs; stop it first")
+
+
+def test_before_it_is_passed_on_nothing_that_was_replaced_or_reported_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drives = tmp_path / "stick"
+    folder = unit(tmp_path / "first", monkeypatch, f'{VEHICLE}[monitoring.recorder]\nfolder = "{drives}"\n')
+    monkeypatch.setattr(module, "STATE", folder)
+    monkeypatch.setattr(module, "BACKUPS", tmp_path / "backups")
+    names = ["keys/evidence.key", "keys/evidence.key.old", "tokens.json.old", "uplink/outbox.sqlite", "logs/core.log",
+             "uplink/tls.pem.old", "recordings/a.mcap", "toll/ledger.sqlite-wal", "saved-x.json.old",
+             "vehicle.toml.old"]  # fmt: skip
+    gone = [folder / name for name in names] + [drives / "b.mcap", tmp_path / "backups" / "before-upgrade-1.zip"]
+    for path in gone:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("a secret")
+    (drives / "photo.jpg").write_text("of another")
+    assert reset(everything=True, yes=True) == 0
+    assert not [path for path in gone if path.exists()]
+    assert (drives / "photo.jpg").exists(), "no file of the recorder"
+
+
+def test_settings_that_are_broken_can_be_reset(first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for number, (text, kind) in enumerate({
+        "[vehicle\nname=": "pi", '[vehicle]\nrole = "rsu"\n[[[': "rsu", "[sensors.simulator]\nx = [": "simulated",
+        '[vehicle]\nrole = "tank"\n': "pi",
+    }.items()):  # fmt: skip
+        folder = unit(tmp_path / str(number), monkeypatch, text)
+        assert reset(yes=True) == 0
+        assert (folder / "vehicle.toml").read_bytes() == shipped(Path(f"deploy/vehicles/{kind}.toml")).read_bytes()
+        assert (folder / "vehicle.toml.old").read_text() == text
+
+
+def test_a_planted_link_leads_nowhere(first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    backup(tmp_path / "b.zip")
+    second = unit(tmp_path / "second", monkeypatch)
+    target, elsewhere = tmp_path / "passwd", tmp_path / "elsewhere"
+    target.write_text("root")
+    elsewhere.mkdir()
+    (elsewhere / "x.mcap").write_text("of another")
+    (second / "saved-trust-record.json").write_text("planted")
+    for name in ("saved-trust-record.json.old", "saved-trust-record.json.part", "saved-y.json", "tokens.json"):
+        (second / name).symlink_to(target)
+    (second / "recordings").symlink_to(elsewhere)
+    restore(tmp_path / "b.zip")
+    assert target.read_text() == "root" and (second / "saved-trust-record.json.old").read_text() == "planted"
+    assert not (second / "tokens.json").is_symlink()
+    backup(tmp_path / "c.zip")
+    assert "state/saved-y.json" not in [name for name, _, _ in read_backup(tmp_path / "c.zip")[2]]
+    reset(everything=True, yes=True)
+    assert target.read_text() == "root" and (elsewhere / "x.mcap").exists()
+    assert not (second / "recordings").is_symlink()
+
+
+def test_a_restore_twice_keeps_what_was_there_first_and_its_rights(
+    first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    backup(tmp_path / "b.zip")
+    second = unit(tmp_path / "second", monkeypatch, "# with a password\n")
+    (second / "vehicle.toml").chmod(0o600)
+    restore(tmp_path / "b.zip")
+    restore(tmp_path / "b.zip")
+    assert (second / "vehicle.toml.old").read_text() == "# with a password\n"
+    assert (second / "vehicle.toml").stat().st_mode & 0o777 == 0o600

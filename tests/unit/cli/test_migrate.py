@@ -7,6 +7,7 @@ import pytest
 from cli.migrate import migrate
 from shared.errors import UserError
 from shared.runtime.config import load_vehicle
+from shared.runtime.overlay import over, settings_folder, text_over
 
 OLD = """[vehicle]
 name = "car" # mine
@@ -51,3 +52,33 @@ def test_a_file_with_another_fault_is_named_and_left(file: Path, text: bytes) ->
     with pytest.raises(UserError, match=r"car\.toml"):
         migrate(file)
     assert file.read_bytes() == text and len(list(file.parent.iterdir())) == 1
+
+
+@pytest.mark.parametrize("broken_off", [False, True])
+def test_what_the_page_has_changed_holds_over_the_new_file(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken_off: bool
+) -> None:
+    monkeypatch.setenv("OBU_VEHICLE", str(file))
+    monkeypatch.setenv("OBU_STATE", str(tmp_path / "state"))
+    changed = settings_folder(tmp_path / "state") / "vehicle.toml"
+    changed.parent.mkdir(parents=True)
+    changed.write_text(over(OLD.replace('"car"', '"truck"'), OLD))
+    changed.chmod(0o660)
+    migrate(file)
+    if broken_off:  # between the two files
+        file.write_text(OLD)
+        migrate(file)
+    assert text_over(file.read_text(), tmp_path / "state") is not None
+    assert load_vehicle().name == "truck" and "body_from_sensor" in changed.read_text()
+    assert changed.stat().st_mode & 0o777 == 0o660
+
+
+def test_changes_over_another_file_are_left(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OBU_VEHICLE", str(file))
+    monkeypatch.setenv("OBU_STATE", str(tmp_path / "state"))
+    changed = settings_folder(tmp_path / "state") / "vehicle.toml"
+    changed.parent.mkdir(parents=True)
+    changed.write_text(over(OLD, "# a file that was edited since"))
+    before = changed.read_text()
+    migrate(file)
+    assert changed.read_text() == before and load_vehicle().name == "car"

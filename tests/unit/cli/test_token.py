@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from cli import token
 from cli.main import command_line
 from cli.token import login_link, network_address, page_address
 from services.monitoring.status.web.access.rights import Right
@@ -80,3 +81,22 @@ def test_addresses_of_links(state: Path) -> None:
     assert login_link("http://[::1]:8080/", "x") == "http://[::1]:8080/login#token=x"
     reached = network_address(8080)
     assert reached is None or reached.endswith(":8080")
+
+
+@pytest.mark.parametrize(("host", "network", "shown"), [
+    ("0.0.0.0", "http://10.1.2.3:8123", "http://10.1.2.3:8123/login#"),
+    ("0.0.0.0", None, "http://127.0.0.1:8123/login#"),
+    ("127.0.0.1", "http://10.1.2.3:8123", "http://127.0.0.1:8123/login#"),
+])  # fmt: skip
+def test_a_code_for_a_phone_leads_to_what_a_phone_reaches(
+    state: Path, monkeypatch: pytest.MonkeyPatch, host: str, network: str | None, shown: str
+) -> None:
+    (state / ADDRESS_FILE).write_text("http://127.0.0.1:8123/")
+    (state / "obu.env").write_text(f"# OBU_HTTP_HOST=1.1.1.1\nOBU_HTTP_HOST={host}\n")
+    monkeypatch.setattr(token, "STATE", state)
+    monkeypatch.setattr(token, "SERVICES_ENVIRONMENT", state / "obu.env")
+    monkeypatch.setattr(token, "network_address", lambda _port: network)
+    done = CliRunner().invoke(APP, ["token", "show-link", "--qr"])
+    assert shown in done.stdout
+    assert ("--address" in done.output) is shown.startswith("http://127.")
+    assert "http://127.0.0.1:8123/login#" in run("show-link"), "on the machine itself"

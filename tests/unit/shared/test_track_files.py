@@ -49,3 +49,11 @@ def test_a_kml_file_has_as_many_times_as_places_and_as_values_of_each_field() ->
 def test_a_time_is_cut_to_the_millisecond_and_never_rounded_up() -> None:
     assert iso_time(START_NS) == "2026-09-21T14:13:20.250Z"
     assert iso_time(1_790_000_000 * 10**9) == "2026-09-21T14:13:20.000Z"
+
+
+def test_heights_are_by_the_receivers_geoid_where_it_is_known() -> None:
+    above_m = f"{700.0 - separation_m(42.37, 13.35) - 1.25:.3f}"
+    for lines, height in ((gpx_lines, f"<ele>{above_m}</ele>"), (kml_lines, f" {above_m}</gx:coord>")):
+        text = "".join(lines("a", [FIRST], 1.25))
+        assert height in text and "by the geoid of the receiver" in text
+        assert "coarse grid" in "".join(lines("a", [FIRST]))

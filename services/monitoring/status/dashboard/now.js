@@ -97,6 +97,8 @@ function TrustCard({ onWhy }) {
   </${Card}>`;
 }
 
+const LOST = new Set(["lost", "missing", "restarting"]); // of a process that should run
+
 function ServicesCard() {
   const { processes, chain, bus } = state.value;
   clock.value;
@@ -105,7 +107,7 @@ function ServicesCard() {
     .map(([name, p]) => [name, live ? p : { ...p, status: "unknown" }]);
   const order = ["lost", "missing", "stale", "ended", "restarting", "waiting", "unknown", "late", "ready"];
   shown.sort((a, b) => order.indexOf(a[1].status) - order.indexOf(b[1].status));
-  return html`<${Card} title=${words.services.title} id="services" fold note=${live ? words.services.running(chain.services.up, chain.services.of) : words.status.unknown}
+  return html`<${Card} title=${words.services.title} id="services" fold=${!shown.some(([, p]) => LOST.has(p.status))} note=${live ? words.services.running(chain.services.up, chain.services.of) : words.status.unknown}
     aside=${html`<a href="#/system">${words.services.details}</a>`}>
     <ul class="services">${shown.map(([name, p]) => html`<li>
       <a href=${`#/system?node=${name}`}><${StateIcon} state=${STATUS_STATE[p.status]} word=${words.status[p.status]} /><span>${name}</span>

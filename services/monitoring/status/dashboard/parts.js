@@ -138,13 +138,14 @@ export function unfold(id, open = true) {
   unfolded.value = cards;
 }
 
-// With `fold` a card is its title on a phone, until it is pressed: what comes first on a page is not pushed off it.
+// With `fold` a card is its title and note on a phone, until it is pressed: what comes first on a page is not pushed off
+// it. A card that asks or warns is not to be folded: its `fold` is false meanwhile.
 export function Card({ title, note, class: extra = "", aside, id, fold, children }) {
   const folds = fold && onPhone.value;
   const open = !folds || unfolded.value.has(id);
   const head = folds ? html`<button class="card-fold" aria-expanded=${open} onClick=${() => unfold(id, !open)}>${title}</button>` : title;
-  return html`<section class="card ${extra} ${folds ? "folds" : ""}" aria-labelledby=${id}>
-    <header><h2 id=${id}>${head}</h2>${open && note && html`<span class="note">${note}</span>`}<span class="aside">${open && aside}</span></header>
+  return html`<section class="card ${extra} ${folds ? "folds" : ""} ${open ? "" : "shut"}" aria-labelledby=${id}>
+    <header><h2 id=${id}>${head}</h2>${note && html`<span class="note">${note}</span>`}<span class="aside">${open && aside}</span></header>
     ${open && children}
   </section>`;
 }

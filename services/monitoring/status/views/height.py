@@ -1,9 +1,8 @@
-"""Height above mean sea level: by the receiver's own geoid where it states one, else by a coarse grid."""
+"""Height above mean sea level: by the receiver's own geoid where it has stated one, else by a grid."""
 
 from typing import Literal, NamedTuple
 
 from shared.maths.geoid.geoid import SD_M, separation_m
-from shared.messages.gnss import GnssFix
 from shared.messages.navigation import NavigationSolution
 
 from ..state import State
@@ -19,11 +18,9 @@ class SeaLevel(NamedTuple):
     geoid_sd_m: float | None  # no receiver states it
 
 
-def above_sea(state: State, solution: NavigationSolution, now_ns: int) -> SeaLevel:
-    """Height of a solution above mean sea level."""
-    fix = state.newest(GnssFix, "gnss/fix", now_ns)
-    if fix is not None and fix.height_ellipsoid_m is not None and fix.height_msl_m is not None:
-        separation = fix.height_ellipsoid_m - fix.height_msl_m
-        return SeaLevel(round(solution.height_ellipsoid_m - separation, 3), "receiver", None)
-    separation = separation_m(solution.latitude_deg, solution.longitude_deg)
-    return SeaLevel(round(solution.height_ellipsoid_m - separation, 3), "grid", SD_M)
+def above_sea(state: State, solution: NavigationSolution) -> SeaLevel:
+    """Height of a solution above mean sea level; it does not step where one fix states no heights."""
+    correction_m = state.geoid_correction_m
+    separation = separation_m(solution.latitude_deg, solution.longitude_deg) + (correction_m or 0.0)
+    height_m = round(solution.height_ellipsoid_m - separation, 3)
+    return SeaLevel(height_m, "grid", SD_M) if correction_m is None else SeaLevel(height_m, "receiver", None)

@@ -21,7 +21,7 @@ def solution(state: State, now_ns: int) -> Solution:
     s, verdict = state.newest(NavigationSolution, TOPIC, now_ns), state.verdict
     ellipse = ellipse_95(s.position_cov_ned_m2) if s else None
     limits = state.evidence(now_ns)
-    sea = above_sea(state, s, now_ns) if s else None
+    sea = above_sea(state, s) if s else None
     return {
         "state": verdict.state,
         "sentence": verdict.sentence,

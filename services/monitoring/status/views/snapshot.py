@@ -298,7 +298,7 @@ def _solution(state: State, now_ns: int) -> SolutionShown | None:
     s = state.newest(NavigationSolution, "navigation/solution", now_ns)
     if s is None:
         return None
-    ellipse, sea = ellipse_95(s.position_cov_ned_m2), above_sea(state, s, now_ns)
+    ellipse, sea = ellipse_95(s.position_cov_ned_m2), above_sea(state, s)
     return {
         "updated_ns": state.topics["navigation/solution"].updated_ns,
         "sampled_ns": s.sampled_ns,

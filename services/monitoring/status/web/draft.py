@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 import tempfile
+import threading
 from pathlib import Path
 from typing import Annotated
 
@@ -32,11 +33,21 @@ class MappingDraft(TypedDict):
 
 
 class DraftApi:
-    """Makes drafts; nothing of the file is kept."""
+    """Makes drafts, one at a time; nothing of the file is kept."""
+
+    def __init__(self) -> None:
+        self._busy = threading.Lock()
 
     def add_to(self, app: FastAPI) -> None:
         """Add the route."""
-        refused = refusals({403: "A page from elsewhere", 413: "Too long", 422: "No table with a position"})
+        refused = refusals(
+            {
+                403: "A page from elsewhere",
+                409: "Another one is being made",
+                413: "Too long",
+                422: "No table with a position",
+            }
+        )
         app.add_api_route(
             "/api/draft", self.draft, methods=["POST"], tags=["recordings"], responses=refused,
             openapi_extra={"requestBody": BODY}, response_description="The draft",
@@ -47,7 +58,16 @@ class DraftApi:
     ) -> MappingDraft:
         """Draft the mapping of a table by its first lines, as `obu import FILE --draft` does."""
         beginning = await body.read(request, MOST_BYTES, WITHIN_S)
-        return await run_in_threadpool(_drafted, name, beginning)
+        return await run_in_threadpool(self.drafted, name, beginning)
+
+    def drafted(self, name: str, beginning: bytes) -> MappingDraft:
+        """Make a draft; raises `HTTPException` with 409 while another one is made: each is a process of its own."""
+        if not self._busy.acquire(blocking=False):
+            raise HTTPException(409, "another draft is being made; wait until it is there")
+        try:
+            return _drafted(name, beginning)
+        finally:
+            self._busy.release()
 
 
 def _drafted(name: str, beginning: bytes) -> MappingDraft:

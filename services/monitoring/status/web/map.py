@@ -96,11 +96,16 @@ class MapApi:
         return self._download(kml_lines, source, "application/vnd.google-earth.kml+xml", "kml")
 
     def _download(
-        self, lines: Callable[[str, Iterable[Segment]], Iterable[str]], source: Source, media_type: str, suffix: str
+        self,
+        lines: Callable[[str, Iterable[Segment], float | None], Iterable[str]],
+        source: Source,
+        media_type: str,
+        suffix: str,
     ) -> Response:
         with self._lock:
             rows, vehicle = list(self._state.track.rows), self._state.vehicle
-        text = "".join(lines(f"{vehicle}, {source}", segments(rows, source)))
+            correction_m = self._state.geoid_correction_m
+        text = "".join(lines(f"{vehicle}, {source}", segments(rows, source), correction_m))
         name = f"{re.sub(r'[^A-Za-z0-9_-]+', '-', vehicle)[:40]}-{source}.{suffix}"
         headers = {"Cache-Control": "no-store", "Content-Disposition": f'attachment; filename="{name}"'}
         return Response(text, 200, headers, media_type)

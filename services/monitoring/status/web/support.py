@@ -1,5 +1,6 @@
 """Diagnostics over the web: what `obu support` collects, by a child process, as one file."""
 
+import logging
 import os
 import subprocess
 import sys
@@ -12,11 +13,14 @@ from fastapi import FastAPI, HTTPException
 from fastapi.responses import FileResponse
 from starlette.background import BackgroundTask
 
+from shared.errors import UserError
 from shared.page.answers import Responses, refusals
 from shared.runtime.config import LOGIN_VARIABLE
 
 from .access.rights import Right
 from .access.tokens import Tokens
+
+log = logging.getLogger(__name__)
 
 WITHIN_S = 120.0  # a Raspberry Pi with an hour's recording takes some 20 s
 RECORDED_MIN = "5"
@@ -42,32 +46,42 @@ class SupportApi:
         if not self._busy.acquire(blocking=False):
             raise HTTPException(409, "diagnostics are being collected; wait until they are there")
         try:
-            path = self._collected()
+            self._folder.mkdir(exist_ok=True)
+            kept = tempfile.TemporaryDirectory(prefix="support-", dir=self._folder)
+            try:
+                path = self._collected(Path(kept.name))
+            except BaseException:
+                kept.cleanup()
+                raise
+        except OSError as error:
+            raise HTTPException(500, f"cannot write to {self._folder}: {error.strerror}; make room") from error
         finally:
             self._busy.release()
         name = f"obu-support-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.zip"
-        return FileResponse(
-            path, media_type="application/zip", filename=name, background=BackgroundTask(path.unlink, missing_ok=True)
-        )
+        return FileResponse(path, media_type="application/zip", filename=name, background=BackgroundTask(kept.cleanup))
 
-    def _collected(self) -> Path:
-        self._folder.mkdir(exist_ok=True)
-        handle, name = tempfile.mkstemp(suffix=".zip", prefix="support-", dir=self._folder)
-        os.close(handle)
-        path = Path(name)
-        path.unlink()  # the command writes over no file
+    def _collected(self, folder: Path) -> Path:
+        """Let the command collect into a folder, with a login of its own as long as it runs."""
+        path = folder / "support.zip"
         # What the page tells needs a login, also of a program on this machine.
         login = self._tokens.add_temporary("support", Right.VIEW, seconds=WITHIN_S)
-        command = ["nice", sys.executable, "-m", "cli", "support", "-o", name, "--minutes", RECORDED_MIN]
+        command = ["nice", sys.executable, "-m", "cli", "support", "-o", str(path), "--minutes", RECORDED_MIN]
         try:
             done = subprocess.run(
-                command, env={**os.environ, LOGIN_VARIABLE: login}, stdin=subprocess.DEVNULL, capture_output=True,
-                text=True, timeout=WITHIN_S, check=False,
+                command, env={**os.environ, LOGIN_VARIABLE: login, "TMPDIR": str(folder)}, stdin=subprocess.DEVNULL,
+                capture_output=True, text=True, timeout=WITHIN_S, check=False,
             )  # fmt: skip
         except (OSError, subprocess.TimeoutExpired) as error:
-            path.unlink(missing_ok=True)
             raise HTTPException(500, f"{error}; run `obu support` on the unit") from error
+        finally:
+            self._end_login(login)
         if done.returncode:
-            path.unlink(missing_ok=True)
             raise HTTPException(500, done.stderr.strip()[-300:] or "it ended without a word; run `obu support` there")
         return path
+
+    def _end_login(self, login: str) -> None:
+        try:
+            if token := self._tokens.find(login):
+                self._tokens.revoke(token.name)
+        except UserError as error:
+            log.warning("a login for diagnostics ends by itself: %s", error)

@@ -290,7 +290,7 @@ function SetUpCard() {
   const checks = [...(setUp?.checks ?? [])].sort((a, b) => order.indexOf(a.verdict) - order.indexOf(b.verdict));
   const known = checks.filter((c) => c.verdict !== "unknown");
   const unknown = checks.filter((c) => c.verdict === "unknown").map((c) => t.names[c.name] ?? c.name);
-  return html`<${Card} title=${t.title} note=${t.note} id="set-up" fold>
+  return html`<${Card} title=${t.title} note=${t.note} id="set-up" fold=${!checks.some((c) => c.verdict === "contradicts")}>
     ${known.length === 0 && html`<p class="note block">${t.empty}</p>`}
     <ul class="outages">${known.map((c) => html`<li key=${c.name} class=${c.verdict === "contradicts" ? "open" : ""}>
       <span><${StateIcon} state=${c.verdict === "contradicts" ? "caution" : "safe"} word=${t.verdicts[c.verdict]} /><strong>${t.names[c.name] ?? c.name}</strong></span>

@@ -26,7 +26,7 @@ export function CrossingCard() {
       setText(x.lost);
     }
   };
-  return html`<${Card} title=${x.title} id="crossing" fold class="crossing-card">
+  return html`<${Card} title=${x.title} id="crossing" fold=${!asked} class="crossing-card">
     ${asked && html`<p class="lead-text"><strong>${x.question}</strong></p>`}
     <p>${isOpen ? x.open(sinceText(crossing.since_ns)) : crossing ? x.closed[crossing.ended_by] ?? x.none : x.none}</p>
     <div class="toolbar"><button onClick=${send} disabled=${!link.value.open}>${isOpen ? x.end : x.begin}</button><span class="note" role="status">${text}</span></div>

@@ -84,7 +84,7 @@ function MonitorsCard({ query, go }) {
     if (asked) go("#/trust");
     setOpen((now) => ({ ...now, [name]: !now[name] }));
   };
-  return html`<${Card} title=${w.monitorsTitle} note=${monitorsStand() ? w.monitorsNote : w.monitorsOld} id="monitors" fold=${!asked} class="monitors-card">
+  return html`<${Card} title=${w.monitorsTitle} note=${monitorsStand() ? w.monitorsNote : w.monitorsOld} id="monitors" fold=${!asked && !rows.some(([, shown]) => shown.outcome === "accuses")} class="monitors-card">
     <div class="scroll" tabindex="0" role="group" aria-label=${w.monitorsTitle}><table class="plain monitors"><thead><tr>${["monitor", "outcome", "statistic"].map((name) => html`<th scope="col">${c[name]}</th>`)}
       ${["falseAlarm", "window", "since", "suspect"].map((name) => html`<th scope="col" class="wide-only">${c[name]}</th>`)}</tr></thead>
       <tbody>${rows.map(([name, shown]) => html`<${Monitor} key=${name} name=${name} shown=${shown} open=${Boolean(open[name])} onToggle=${() => toggle(name)} />`)}</tbody></table></div>

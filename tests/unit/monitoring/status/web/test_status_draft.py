@@ -1,13 +1,15 @@
 """Drafts of mappings over the web: by the command, of bytes of a stranger."""
 
 import tempfile
+import threading
 from pathlib import Path
 
 import pytest
 from fastapi import HTTPException
 
 from cli.import_drive.mapping.mapping import parse_mapping
-from services.monitoring.status.web.draft import _drafted
+from services.monitoring.status.web import draft
+from services.monitoring.status.web.draft import DraftApi, MappingDraft, _drafted
 from tests.support.cases import each
 
 HEADER = "time,lat,lon,alt,speed_kmh\n"
@@ -34,3 +36,29 @@ def test_what_is_no_table_with_a_position_is_refused_in_words(data: bytes) -> No
         _drafted("x.csv", data)
     assert refused.value.status_code == 422 and "x.csv" in refused.value.detail
     assert tempfile.gettempdir() not in refused.value.detail
+
+
+def test_two_at_once_are_one_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, go_on, api = threading.Event(), threading.Event(), DraftApi()
+
+    def fails(_name: str, _beginning: bytes) -> None:
+        begun.set()
+        go_on.wait()
+        raise HTTPException(422, "no table")
+
+    def first() -> None:
+        with pytest.raises(HTTPException, match="no table"):
+            api.drafted("x.csv", b"")
+
+    monkeypatch.setattr(draft, "_drafted", fails)
+    thread = threading.Thread(target=first)
+    thread.start()
+    begun.wait()
+    with pytest.raises(HTTPException) as refused:
+        api.drafted("y.csv", b"")
+    go_on.set()
+    thread.join()
+    assert refused.value.status_code == 409
+    done: MappingDraft = {"name": "z.toml", "toml": "", "text": ""}
+    monkeypatch.setattr(draft, "_drafted", lambda _name, _beginning: done)
+    assert api.drafted("z.csv", b"") == done, "after one that failed too"

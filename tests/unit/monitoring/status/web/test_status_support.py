@@ -1,12 +1,14 @@
 """The button *Download diagnostics*: what `obu support` collects, by a child process of the page."""
 
 import asyncio
+import subprocess
 import threading
 import zipfile
 from pathlib import Path
 
 import pytest
 from fastapi import HTTPException
+from fastapi.responses import FileResponse
 
 from services.monitoring.status.web.access.tokens import Tokens
 from services.monitoring.status.web.support import SupportApi
@@ -27,27 +29,44 @@ def test_it_is_one_file_that_leaves_nothing_behind(api: SupportApi, tmp_path: Pa
     with zipfile.ZipFile(answer.path) as archive:
         assert {"doctor.txt", "vehicle.toml", "health.json"} <= set(archive.namelist())
     asyncio.run(answer.background())  # after it was sent
-    assert not list((tmp_path / "jobs").iterdir())
+    assert not list((tmp_path / "jobs").iterdir()) and not Tokens(tmp_path).content().tokens
+
+
+def test_a_timeout_leaves_neither_a_file_nor_a_login(
+    api: SupportApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def late(command: list[str], **_options: object) -> None:
+        path = Path(command[command.index("-o") + 1])
+        path.with_name("part-of-it").write_bytes(b"x")
+        assert Tokens(tmp_path).content().tokens
+        raise subprocess.TimeoutExpired(command, 120.0)
+
+    monkeypatch.setattr(subprocess, "run", late)
+    with pytest.raises(HTTPException, match="obu support"):
+        api.collect()
+    assert not list((tmp_path / "jobs").iterdir()) and not Tokens(tmp_path).content().tokens
 
 
 def test_two_at_once_are_one_too_many(api: SupportApi, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     begun, go_on = threading.Event(), threading.Event()
 
-    def collected() -> Path:
+    def collected(_folder: Path) -> Path:
         begun.set()
         go_on.wait()
         (tmp_path / "x.zip").write_bytes(b"")
         return tmp_path / "x.zip"
 
     monkeypatch.setattr(api, "_collected", collected)
-    first = threading.Thread(target=api.collect)
+    answers: list[FileResponse] = []
+    first = threading.Thread(target=lambda: answers.append(api.collect()))
     first.start()
     begun.wait()
     with pytest.raises(HTTPException, match="wait") as refused:
         api.collect()
     go_on.set()
     first.join()
-    assert refused.value.status_code == 409
+    assert refused.value.status_code == 409 and answers[0].background is not None
+    asyncio.run(answers[0].background())
 
 
 def test_what_kept_it_from_collecting_is_said(api: SupportApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
