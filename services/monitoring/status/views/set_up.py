@@ -5,7 +5,6 @@ from itertools import pairwise
 from math import atan2, degrees, hypot, sqrt
 from statistics import fmean, median, pstdev
 
-from shared.maths.rotation import Vector
 from shared.messages.corrections import CorrectionsState
 from shared.messages.gnss import GnssConfiguration, GnssFix, GnssReceiver
 from shared.messages.imu import ImuSamples
@@ -20,6 +19,7 @@ from shared.topics import BY_NAME as TOPICS
 from ..state import State
 from .models.set_up import DeviceShown, LevelShown, SignalShown, StepShown, StepState
 
+Vector = tuple[float, float, float]  # as of shared.maths.rotation, which needs numpy: 70 MB in this process
 STEPS = ("unit", "devices", "receiver", "corrections", "imu", "antenna", "bus", "drive")
 CONFIRMED = ("unit", "antenna")  # steps that somebody confirms
 MOVING_M_S = 5.0 / 3.6
