@@ -14,7 +14,7 @@ PROPERTIES = {
     "state": "safe", "sentence": SENTENCE, "verdict_known": True, "live": True, "age_s": 0.03,
     "sampled_ns": EXAMPLE_NS, "speed_m_s": 13.9, "heading_deg": 92.4, "ellipse_95_semi_major_m": 1.1,
     "ellipse_95_semi_minor_m": 0.8, "ellipse_95_orientation_deg": 41.0, "height_sd_m": 0.7,
-    "height_msl_m": 472.9, "geoid": "receiver", "geoid_sd_m": None,
+    "height_msl_m": 472.9, "geoid": "grid", "geoid_sd_m": 1.5,
     "speed_sd_m_s": 0.05, "heading_sd_deg": 0.3, "protection_level_horizontal_m": 3.0,
     "protection_level_vertical_m": 4.0, "alert_limit_horizontal_m": 10.0, "alert_limit_vertical_m": 20.0,
     "gnss_age_s": 0.4, "phase": "navigating", "stationary": False,
