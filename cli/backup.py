@@ -88,7 +88,9 @@ def backup(
     *,
     without_keys: Annotated[
         bool,
-        typer.Option("--without-keys", help="Leave out keys, enrolment and logins: nobody can be this unit by it."),
+        typer.Option(
+            "--without-keys", help="Leave out keys, enrolment and logins: the file lets no one act as this unit."
+        ),
     ] = False,
     vehicle: VehicleOption = None,
 ) -> int:
