@@ -89,7 +89,7 @@ def backup(
     without_keys: Annotated[
         bool,
         typer.Option(
-            "--without-keys", help="Leave out keys, enrolment and logins: the file lets no one act as this unit."
+            "--without-keys", help="Leave out keys, enrolment and logins: no one can act as this unit by it."
         ),
     ] = False,
     vehicle: VehicleOption = None,
