@@ -88,9 +88,7 @@ def backup(
     *,
     without_keys: Annotated[
         bool,
-        typer.Option(
-            "--without-keys", help="Leave out keys, enrolment and logins: no one can act as this unit by it."
-        ),
+        typer.Option("--without-keys", help="Leave out keys, enrolment and logins: no one can act as this unit by it."),
     ] = False,
     vehicle: VehicleOption = None,
 ) -> int:
