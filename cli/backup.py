@@ -26,7 +26,7 @@ from shared.bounded import TOML_BYTES, SizeExceeded
 from shared.errors import UserError
 from shared.evidence import keys_folder
 from shared.fleet.identity import identity_folder
-from shared.runtime.config import VehicleFile, address_file, load_vehicle, parse_vehicle, state_dir
+from shared.runtime.config import VehicleFile, load_vehicle, page_of, parse_vehicle, state_dir
 from shared.runtime.overlay import settings_folder
 from shared.runtime.private import STATE
 
@@ -235,10 +235,9 @@ def _whole(state: Path, units: list[VehicleFile]) -> Iterator[Path]:
     yield from (state / name for name in ("recordings", "jobs", "toll", "logs", "ends", "uplink", "set_up.json"))
     for unit in units:
         named = state / str(unit.tables.get("monitoring.recorder", {}).get("folder", "recordings"))
-        if named.resolve().is_relative_to(state.resolve() / "recordings"):
-            continue
-        # Another folder may hold files of others: those of the recorder go.
-        yield from (path for path in _listed(named) if ".mcap" in path.suffixes)
+        if not named.resolve().is_relative_to(state.resolve() / "recordings"):
+            # Another folder may hold files of others: those of the recorder go.
+            yield from (path for path in _listed(named) if ".mcap" in path.suffixes)
         ledger = state / str(unit.tables.get("monitoring.ledger", {}).get("file", "toll/ledger.sqlite"))
         yield from (ledger.with_name(f"{ledger.name}{end}") for end in ("", "-wal", "-shm", "-journal"))
     if state == STATE:
@@ -364,8 +363,10 @@ def _delivered(unit: VehicleFile | None, target: Path) -> Path:
 
 def _insist_on_rest(state: Path) -> None:
     """Raise `UserError` while the unit of a state folder runs: it would write over what is restored."""
+    address = page_of(state)
+    if address is None:
+        return
     try:
-        address = address_file(state.resolve()).read_text(encoding="utf-8").strip().rstrip("/")
         with urllib.request.urlopen(f"{address}/api/alive", timeout=ANSWER_S):  # the unit's own address
             pass
     except urllib.error.HTTPError:

@@ -13,7 +13,7 @@ from services.monitoring.status.web.command import right_of
 from shared.bus.bus import Bus, decoded
 from shared.errors import UserError
 from shared.messages.operation import CommandStage, ModeAnswer, OperatorCommand
-from shared.runtime.config import VehicleFile, address_file, broker_address, state_dir
+from shared.runtime.config import VehicleFile, broker_address, page_of, state_dir
 from shared.topics import BY_NAME
 
 CONNECT_S = 5.0
@@ -31,12 +31,11 @@ def send(kind: OperatorCommand, vehicle: VehicleFile, *, source: str | None, per
         If no unit runs here, or the command is none.
     """
     folder = state_dir()
-    try:
-        address = address_file(folder.resolve()).read_text().strip()
-    except OSError as error:
+    address = page_of(folder)
+    if address is None:
         raise UserError(
             f"no unit is running with its state in {folder}; start it with `obu up`, or set OBU_STATE to its folder"
-        ) from error
+        )
     request_id = uuid4().hex[:12]
     bus = Bus("observer", vehicle.name, broker_address(), (BY_NAME["mode/answer"],), folder, observer=True)
     try:
@@ -60,7 +59,7 @@ def _post(folder: Path, address: str, kind: OperatorCommand, given: dict[str, ob
     """Send the command with a token of its own: who may write to the folder of the page may command the unit."""
     token = Tokens(tokens_folder(folder)).add_temporary("command", right_of(kind), seconds=TOKEN_S)
     headers = {"Content-Type": "application/json", "Authorization": f"Bearer {token}"}
-    request = urllib.request.Request(f"{address}api/command", json.dumps(given).encode(), headers, method="POST")
+    request = urllib.request.Request(f"{address}/api/command", json.dumps(given).encode(), headers, method="POST")
     try:
         with urllib.request.urlopen(request, timeout=CONNECT_S):  # the unit's own address
             return

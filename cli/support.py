@@ -22,7 +22,7 @@ from shared import VERSION
 from shared.errors import BadRecording, UserError
 from shared.recording import Recording, RecordingWriter
 from shared.recording.writer import without_users
-from shared.runtime.config import LOGIN_VARIABLE, VehicleFile, address_file, load_vehicle, state_dir
+from shared.runtime.config import LOGIN_VARIABLE, VehicleFile, load_vehicle, page_of, state_dir
 
 from .doctor import findings
 
@@ -121,9 +121,8 @@ def _texts(vehicle: Path | None, state: Path) -> Iterator[tuple[str, str]]:
 
 def _health(state: Path) -> str:
     """What the page of the running unit tells, or why it tells nothing."""
-    try:
-        address = address_file(state.resolve()).read_text(encoding="utf-8").strip().rstrip("/")
-    except OSError:
+    address = page_of(state)
+    if address is None:
         return json.dumps({"error": "no unit whose page is known runs with this state folder"})
     found: dict[str, object] = {}
     login = {"Authorization": f"Bearer {token}"} if (token := os.environ.get(LOGIN_VARIABLE)) else {}

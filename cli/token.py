@@ -17,7 +17,7 @@ from services.monitoring.status.web.access.tokens import Tokens, tokens_folder
 from shared.bounded import TOML_BYTES, read_text
 from shared.bus.contract import table
 from shared.errors import UserError
-from shared.runtime.config import address_file, state_dir
+from shared.runtime.config import page_of, state_dir
 from shared.runtime.private import STATE
 
 from .qr import show
@@ -145,10 +145,7 @@ def login_link(address: str, secret: str) -> str:
 
 def page_address(folder: Path) -> str:
     """The address at which the unit with this state folder serves its page; of one that does not run the usual one."""
-    try:
-        return address_file(folder.resolve()).read_text(encoding="utf-8").strip()
-    except OSError:
-        return "http://127.0.0.1:8080"
+    return page_of(folder) or "http://127.0.0.1:8080"
 
 
 def network_address(port: int) -> str | None:

@@ -363,6 +363,14 @@ def address_file(state: Path) -> Path:
     return page_folder(state) / ADDRESS_FILE
 
 
+def page_of(state: Path) -> str | None:
+    """Address of the page of the unit that runs with a state folder, without a slash at its end; None of none."""
+    try:
+        return address_file(state.resolve()).read_text(encoding="utf-8").strip().rstrip("/")
+    except (OSError, UnicodeDecodeError):
+        return None
+
+
 def broker_address() -> BrokerAddress:
     """The address in OBU_BROKER, else the socket of the unit of this machine, or its port."""
     if url := os.environ.get("OBU_BROKER"):

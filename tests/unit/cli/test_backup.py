@@ -236,3 +236,12 @@ def test_a_restore_twice_keeps_what_was_there_first_and_its_rights(
     restore(tmp_path / "b.zip")
     assert (second / "vehicle.toml.old").read_text() == "# with a password\n"
     assert (second / "vehicle.toml").stat().st_mode & 0o777 == 0o600
+
+
+def test_a_ledger_of_another_name_goes_wherever_drives_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = '[vehicle]\nname = "plaza"\nrole = "rsu"\n[monitoring.ledger]\nfile = "books/own.sqlite"\n'
+    folder = unit(tmp_path / "plaza", monkeypatch, text)
+    (folder / "books").mkdir()
+    (folder / "books" / "own.sqlite").write_bytes(b"ledger")
+    reset(everything=True, yes=True)
+    assert not (folder / "books" / "own.sqlite").exists()
