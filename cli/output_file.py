@@ -18,3 +18,18 @@ def insist_on_place(path: Path, option: str = "--out") -> None:
     else:
         return
     raise UserError(f"cannot write {path}: {reason}; choose another path with {option}")
+
+
+def insist_on_new(path: Path, option: str = "--out") -> None:
+    """Raise `UserError` where a file cannot be written, or is there already."""
+    insist_on_place(path, option)
+    if path.exists():
+        raise UserError(f"{path} already exists; choose another file with {option}, or remove it")
+
+
+def write_text(path: Path, text: str, option: str = "--out") -> None:
+    """Write a file; raises `UserError`."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror}; choose another path with {option}") from error

@@ -20,7 +20,7 @@ from shared.maths.earth import STANDARD_GRAVITY
 from shared.messages.imu import ImuSamples
 from shared.runtime.offline import OfflineUnit
 
-from ..output_file import insist_on_place
+from ..output_file import insist_on_new, write_text
 from ..progress import progress_on
 from ..recordings.common import open_recording, print_problems, vehicle_of
 from ..solve.inputs import inputs_of
@@ -71,9 +71,7 @@ def calibrate_imu(
     [bold]obu calibrate imu bench.mcap --out noise.html --json[/]
     """
     if out is not None:
-        insist_on_place(out)
-        if out.exists():
-            raise UserError(f"{out} already exists; choose another file with --out, or remove it")
+        insist_on_new(out)
     console = Console(stderr=True)
     with progress_on(console) as progress:
         source, rest = _at_rest(recording, vehicle, console, progress)
@@ -83,10 +81,7 @@ def calibrate_imu(
         ]
     text = section(*sensors, source=source, rest=rest, file=recording.name)
     if out is not None:
-        try:
-            out.write_text(_page(recording.name, source, rest, sensors, text), encoding="utf-8")
-        except OSError as error:
-            raise UserError(f"cannot write {out}: {error.strerror}; choose another path with --out") from error
+        write_text(out, _page(recording.name, source, rest, sensors, text))
     if as_json:
         print(json.dumps(_document(source, rest, sensors, text)))
         return 0

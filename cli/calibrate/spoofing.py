@@ -30,7 +30,7 @@ from shared.messages.base import Message
 from shared.messages.trust import TrustMonitor
 from shared.runtime.offline import OfflineUnit
 
-from ..output_file import insist_on_place
+from ..output_file import insist_on_new, write_text
 from ..progress import progress_on
 from ..recordings.common import open_recording, print_problems, vehicle_of
 from ..solve.inputs import arrival_of, inputs_of
@@ -63,9 +63,7 @@ def calibrate_spoofing(
     [bold]obu calibrate spoofing monday.mcap tuesday.mcap -o profile.json[/]
     [bold]obu calibrate spoofing drive.mcap --vehicle deploy/vehicles/pi.toml --threshold 6.5[/]
     """
-    insist_on_place(output, "--output")
-    if output.exists():
-        raise UserError(f"{output} already exists; choose another file with --output, or remove it")
+    insist_on_new(output, "--output")
     console = Console(stderr=True)
     windows: list[Window] = []
     long: list[float] = []
@@ -85,10 +83,7 @@ def calibrate_spoofing(
                 )
     profile = _profile(windows, origins[0].model_copy(update={"code": _code(), "drives": tuple(learned)}), threshold,
                        long)  # fmt: skip
-    try:
-        output.write_text(profile.model_dump_json(indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"cannot write {output}: {error.strerror}; choose another path with --output") from error
+    write_text(output, profile.model_dump_json(indent=2) + "\n", "--output")
     if as_json:
         print(json.dumps(profile.model_dump(mode="json")))
     else:

@@ -10,7 +10,7 @@ from shared.bounded import TOML_BYTES, read_text
 from shared.errors import UserError
 from shared.settings.edit import checked, edited
 
-from ..output_file import insist_on_place
+from ..output_file import insist_on_new, write_text
 
 FOLDER = shipped(Path("deploy/vehicles/sets"))
 
@@ -38,14 +38,9 @@ def begin(
         return 0
     if name not in files:
         raise UserError(f"there is no set {name!r}; `obu config begin` lists {', '.join(files)}")
-    insist_on_place(out)
-    if out.exists():
-        raise UserError(f"{out} already exists; choose another file with --out, or remove it")
+    insist_on_new(out)
     text = edited(files[name], {"vehicle.name": vehicle_name})
     checked(text, str(out))
-    try:
-        out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"cannot write {out}: {error.strerror}; choose another path with --out") from error
+    write_text(out, text)
     print(f"wrote {out}; the page Set up goes on from it, or `obu set-up` with a recorded drive")
     return 0

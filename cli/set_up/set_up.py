@@ -13,13 +13,12 @@ from rich.table import Table
 
 from services.core.fusion.set_up.survey.findings import LIMITS, Finding, Quantity, changes_of, findings_of
 from services.core.fusion.set_up.survey.survey import Survey, survey
-from shared.errors import UserError
 from shared.messages.base import Message
 from shared.messages.navigation import SetUpVerdict
 from shared.runtime.config import VehicleFile, parse_vehicle
 from shared.settings.edit import checked, edited
 
-from ..output_file import insist_on_place
+from ..output_file import insist_on_new, write_text
 from ..progress import progress_on
 from .certificate import write_certificate
 from .drive import Drive, Shown, innovations_of, motion_of_drive, read
@@ -93,18 +92,13 @@ def set_up(
 def _insist_on_places(out: Path | None, certificate: Path | None) -> None:
     for path, option in ((out, "--out"), (certificate, "--certificate")):
         if path is not None:
-            insist_on_place(path, option)
-            if path.exists():
-                raise UserError(f"{path} already exists; choose another file with {option}, or remove it")
+            insist_on_new(path, option)
 
 
 def _write(path: Path, vehicle: VehicleFile, changes: dict[str, object]) -> None:
     text = edited(vehicle.text, changes)
     checked(text, str(path))
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror}; choose another path with --out") from error
+    write_text(path, text)
 
 
 def changed(vehicle: VehicleFile, changes: dict[str, object]) -> VehicleFile:

@@ -206,8 +206,8 @@ class State:
                 self._note_event(message, envelope)
 
     def _keep_sample(self, envelope: Envelope) -> None:
-        looked_ns = self._looked_ns.get(envelope.topic, 0)
-        if envelope.topic == "imu/sample" and envelope.received_ns - looked_ns < POLL_PERIOD_NS:
+        topic = "imu/sample"
+        if envelope.topic == topic and envelope.received_ns - self._looked_ns.get(topic, 0) < POLL_PERIOD_NS:
             self.samples.append(envelope)
 
     def _note_event(self, message: Message | None, envelope: Envelope) -> None:
