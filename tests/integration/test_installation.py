@@ -102,9 +102,9 @@ def test_one_line_installs_upgrades_and_removes(machine: Machine) -> None:
     assert machine.run("git -C /opt/obu rev-parse HEAD") == version
     eventually(lambda: set(machine.services.values()) == {"running"}, 60.0)
 
-    machine.run("obu backup -o /root/unit.zip")
+    machine.run("obu backup -o /tmp/unit.zip")
     assert "the unit runs" in machine.run("obu reset --all --yes", fails=True)
-    machine.run("systemctl stop obu.target && obu reset --all --yes && obu restore /root/unit.zip")
+    machine.run("systemctl stop obu.target && obu reset --all --yes && obu restore /tmp/unit.zip")
     owner = machine.run("stat -c '%U:%G %a' /var/lib/obu-private/keys/evidence.key").strip()
     assert owner == "root:obu-evidence 440"
     machine.run("systemctl start obu.target")
