@@ -59,9 +59,19 @@ class Vehicle:
             time.sleep(0.1)
 
     def ask(self, **command: object) -> str:
-        answer = change(self.address, "/api/settings", command)
-        assert answer.status_code == 202, answer.text
-        return str(answer.json()["request_id"])
+        """Hand a command to the page, once it answers: a change of settings starts it again."""
+        answers: list[httpx.Response] = []
+        self.until(lambda: self._is_answered(lambda: change(self.address, "/api/settings", command), answers))
+        assert answers[-1].status_code == 202, answers[-1].text
+        return str(answers[-1].json()["request_id"])
+
+    @staticmethod
+    def _is_answered(request: Callable[[], httpx.Response], answers: list[httpx.Response]) -> bool:
+        try:
+            answers.append(request())
+        except httpx.ConnectError:
+            return False
+        return True
 
     def stage(self, request: str) -> object:
         """How far a command has come, by its answer or as the newest change."""
@@ -79,8 +89,10 @@ class Vehicle:
 
     def is_received(self) -> bool:
         """Whether bytes of the receiver come, by the deadlines of the unit."""
-        answer = httpx.get(f"{self.address}/api/topics/gnss/raw", timeout=5.0)
-        return answer.status_code == 200 and answer.json()["freshness"] == "fresh"
+        answers: list[httpx.Response] = []
+        if not self._is_answered(lambda: httpx.get(f"{self.address}/api/topics/gnss/raw", timeout=HANGS_S), answers):
+            return False
+        return answers[-1].status_code == 200 and answers[-1].json()["freshness"] == "fresh"
 
 
 @contextmanager
@@ -127,7 +139,8 @@ def test_the_receivers_port_is_changed_watched_kept_or_taken_back(vehicle: Vehic
         busy = unit.ask(action="apply", changes={"sensors.gnss.device": '"serial:///dev/null"'})
         unit.until(lambda: unit.stage(busy) == "refused")
         unit.until(lambda: unit.stage(applied) == "kept")
-        assert unit.is_received() and unit.supervisor.children["parsers.gnss"].restarts == lives
+        unit.until(unit.is_received)
+        assert unit.supervisor.children["parsers.gnss"].restarts == lives
         assert unit.file.read_text() == text, "the vehicle's file is never written"
         held = settings_folder(unit.state) / FILE
         assert "# The receiver on the roof." in held.read_text() and str(second.path) in held.read_text()

@@ -24,7 +24,7 @@ from services.monitoring.status.web.access.tokens import FILE, Tokens
 from services.monitoring.status.web.routes import app_without_unit
 from shared.page.access.requests import Receive, Scope, Send
 from shared.page.access.table import WEBSOCKET, Row
-from tests.support.dashboard.status_server import RunningServer, status_server
+from tests.support.dashboard.status_server import RunningServer, eventually, status_server
 from tests.support.patience import HANGS_S
 
 METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
@@ -35,6 +35,7 @@ ALL = ["download", "keep", "delete", "replay", "solve"]
 class GuardedPage:
     """A page that asks everybody to log in."""
 
+    folder: Path
     server: RunningServer
     tokens: Tokens
     secrets: dict[Right, str]
@@ -51,7 +52,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GuardedPage]:
     folder = tmp_path_factory.mktemp("guarded")
     tokens = Tokens(folder)
     with status_server(folder, login_on_loopback=True, recordings=ALL) as server:
-        yield GuardedPage(server, tokens, {right: tokens.add(f"of-{right}", right) for right in GRANTED})
+        yield GuardedPage(folder, server, tokens, {right: tokens.add(f"of-{right}", right) for right in GRANTED})
 
 
 def routes_of(found: list[BaseRoute]) -> set[tuple[str, str]]:
@@ -176,6 +177,8 @@ def test_head_answers_as_get_without_a_body(page: GuardedPage, row: Row[Right]) 
     get, head = (page.ask(method, path, Right.ADMIN) for method in ("GET", "HEAD"))
     assert head.status_code == get.status_code
     assert head.headers["content-type"] == get.headers["content-type"]
+    # Diagnostics are collected into a folder that may outlive neither an answer cut off nor a head alone.
+    eventually(lambda: not list(page.folder.glob("jobs/support-*")))
 
 
 def test_admin_makes_and_revokes_tokens_over_the_page(page: GuardedPage) -> None:

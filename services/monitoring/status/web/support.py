@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fastapi import FastAPI, HTTPException
 from fastapi.responses import FileResponse
-from starlette.background import BackgroundTask
+from starlette.types import Receive, Scope, Send
 
 from shared.errors import UserError
 from shared.page.answers import Responses, refusals
@@ -24,6 +24,20 @@ log = logging.getLogger(__name__)
 
 WITHIN_S = 120.0  # a Raspberry Pi with an hour's recording takes some 20 s
 RECORDED_MIN = "5"
+
+
+class _OfFolder(FileResponse):
+    """A file whose folder is deleted behind it, however the answer ends: sent, refused, cut off, or its head alone."""
+
+    def __init__(self, folder: tempfile.TemporaryDirectory[str], path: Path, name: str) -> None:
+        super().__init__(path, media_type="application/zip", filename=name)
+        self._kept = folder
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self._kept.cleanup()
 
 
 class SupportApi:
@@ -58,7 +72,7 @@ class SupportApi:
         finally:
             self._busy.release()
         name = f"obu-support-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.zip"
-        return FileResponse(path, media_type="application/zip", filename=name, background=BackgroundTask(kept.cleanup))
+        return _OfFolder(kept, path, name)
 
     def _collected(self, folder: Path) -> Path:
         """Let the command collect into a folder, with a login of its own as long as it runs."""
