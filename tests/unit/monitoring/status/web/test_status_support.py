@@ -4,7 +4,9 @@ import asyncio
 import subprocess
 import threading
 import zipfile
+from collections.abc import MutableMapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 from fastapi import HTTPException
@@ -23,12 +25,25 @@ def api(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SupportApi:
     return SupportApi(tmp_path / "jobs", Tokens(tmp_path))
 
 
+def sent(answer: FileResponse, method: str = "GET") -> None:
+    """Send an answer as a server does, to a client that takes it all."""
+
+    async def receive() -> MutableMapping[str, Any]:
+        await asyncio.Event().wait()  # the client stays
+        return {"type": "http.disconnect"}
+
+    async def send(_message: MutableMapping[str, Any]) -> None:
+        return
+
+    asyncio.run(answer({"type": "http", "method": method, "headers": []}, receive, send))
+
+
 def test_it_is_one_file_that_leaves_nothing_behind(api: SupportApi, tmp_path: Path) -> None:
     answer = api.collect()
-    assert ".zip" in answer.headers["Content-Disposition"] and answer.background is not None
+    assert ".zip" in answer.headers["Content-Disposition"]
     with zipfile.ZipFile(answer.path) as archive:
         assert {"doctor.txt", "vehicle.toml", "health.json"} <= set(archive.namelist())
-    asyncio.run(answer.background())  # after it was sent
+    sent(answer)
     assert not list((tmp_path / "jobs").iterdir()) and not Tokens(tmp_path).content().tokens
 
 
@@ -65,8 +80,9 @@ def test_two_at_once_are_one_too_many(api: SupportApi, monkeypatch: pytest.Monke
         api.collect()
     go_on.set()
     first.join()
-    assert refused.value.status_code == 409 and answers[0].background is not None
-    asyncio.run(answers[0].background())
+    assert refused.value.status_code == 409
+    sent(answers[0], "HEAD")
+    assert not list((tmp_path / "jobs").iterdir())
 
 
 def test_what_kept_it_from_collecting_is_said(api: SupportApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
