@@ -31,8 +31,8 @@ follow() { # --now, or nothing
 
 now=--now
 [ "${1:-}" != enable ] || now=
-while # what is written meanwhile starts no second run
+while :; do # what is written meanwhile starts no second run
     before=$(stat -c %z "$SETTINGS" 2>/dev/null || true)
     follow "$now"
-    [ "$before" != "$(stat -c %z "$SETTINGS" 2>/dev/null || true)" ]
-do :; done
+    [ "$before" != "$(stat -c %z "$SETTINGS" 2>/dev/null || true)" ] || break
+done

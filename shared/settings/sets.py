@@ -60,7 +60,7 @@ def _leaves(prefix: str, table: Mapping[str, object], known: Collection[str]) ->
     found = []
     for key, value in table.items():
         name = f"{prefix}{key}"
-        if isinstance(value, dict) and name not in known:
+        if isinstance(value, dict) and (name not in known or "." not in prefix.removesuffix(".")):  # or a process
             found += _leaves(f"{name}.", value, known)
         elif name != "vehicle.name":
             found.append((name, to_json(value).decode()))
