@@ -5,6 +5,7 @@ It takes some minutes, and fetches packages, so it is slow and of `make containe
 
 import re
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,7 @@ LINK = re.compile(r"http://([^/:\s]+):(\d+)/login#token=\S+")
 
 
 def test_a_phone_alone_leads_from_a_blank_system_to_safe_in_a_simulated_car(
-    tmp_path: Path, record_property: pytest.RecordProperty
+    tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
     port = free_port()
     with blank_machine(SYSTEM, tmp_path, ("--publish", f"127.0.0.1:{port}:8080")) as machine:
@@ -50,7 +51,6 @@ def test_a_phone_alone_leads_from_a_blank_system_to_safe_in_a_simulated_car(
         assert safe - begun < FIRST_DAY_S
         record_property("installed_s", round(installed - begun))
         record_property("safe_s", round(safe - begun))
-        print(f"installed after {installed - begun:.0f} s, SAFE after {safe - begun:.0f} s")
         running = machine.services
         assert "obu@sensors.simulator.service" in running and "obu@sensors.gnss.service" not in running
         # No process has got a right over others: each has its own user, and none is root.
