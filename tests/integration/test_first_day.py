@@ -25,7 +25,7 @@ LINK = re.compile(r"http://([^/:\s]+):(\d+)/login#token=\S+")
 
 
 def test_a_phone_alone_leads_from_a_blank_system_to_safe_in_a_simulated_car(
-    tmp_path: Path, record_property: Callable[[str, object], None]
+    tmp_path: Path, record_testsuite_property: Callable[[str, object], None]
 ) -> None:
     port = free_port()
     with blank_machine(SYSTEM, tmp_path, ("--publish", f"127.0.0.1:{port}:8080")) as machine:
@@ -49,8 +49,8 @@ def test_a_phone_alone_leads_from_a_blank_system_to_safe_in_a_simulated_car(
             page.get_by_role("link", name="Settings").click()
             expect(page.get_by_text("Change is kept")).to_be_visible(timeout=180_000)
         assert safe - begun < FIRST_DAY_S
-        record_property("installed_s", round(installed - begun))
-        record_property("safe_s", round(safe - begun))
+        record_testsuite_property("installed_s", round(installed - begun))
+        record_testsuite_property("safe_s", round(safe - begun))
         running = machine.services
         assert "obu@sensors.simulator.service" in running and "obu@sensors.gnss.service" not in running
         # No process has got a right over others: each has its own user, and none is root.
