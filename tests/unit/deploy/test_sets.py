@@ -82,7 +82,7 @@ def test_a_table_that_is_one_setting_is_one_value_and_a_process_is_none() -> Non
 def test_a_set_can_be_chosen_on_the_page_of_a_unit_of_any_other(name: str) -> None:
     chosen = next(one for one in sets(["parsers.imu.line"]) if one["name"] == name)
     runs, settings = (cast("dict[str, object]", chosen[part]) for part in ("runs", "settings"))
-    changes = {one: str(on).lower() for one, on in runs.items()} | cast("dict[str, str]", settings)
+    changes = {one: str(on).lower() for one, on in runs.items()} | cast("dict[str, str | None]", settings)
     for path in SETS.glob("*.toml"):
         if path.stem == name:
             continue
