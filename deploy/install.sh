@@ -322,14 +322,15 @@ users_of_unit() {
 }
 
 remove() {
-    systemctl disable --quiet --now obu.target rsu.target >>"$LOG" 2>&1 || true
+    systemctl disable --quiet --now obu-switched.path obu.target rsu.target >>"$LOG" 2>&1 || true
     for unit in $(systemctl list-units --all --plain --no-legend 'obu@*' obu-broker.service 2>/dev/null | awk '{ print $1 }'); do
         systemctl stop "$unit" >>"$LOG" 2>&1 || true
     done
     for link in /etc/systemd/system/*.wants/obu@*.service; do
         [ ! -L "$link" ] || rm "$link"
     done
-    rm -rf /etc/systemd/system/obu@* /etc/systemd/system/obu-broker.service /etc/systemd/system/obu.target \
+    rm -rf /etc/systemd/system/obu@* /etc/systemd/system/obu-broker.service /etc/systemd/system/obu-switched.* \
+        /etc/systemd/system/obu.target \
         /etc/systemd/system/rsu.target /etc/systemd/system/obu.target.wants /etc/systemd/system/rsu.target.wants \
         /etc/udev/rules.d/99-obu.rules "$NAME" "$COMMAND" "$COMMAND-install" "$UNIT"
     systemctl daemon-reload

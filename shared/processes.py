@@ -326,6 +326,13 @@ PROCESSES = (
 BY_NAME = {row.name: row for row in PROCESSES}
 
 
+def switchable(role: Role) -> tuple[str, ...]:
+    """Processes of a role that run where the unit's file has their section, and can so be switched on and off."""
+    return tuple(
+        row.name for row in PROCESSES if role in row.roles and row.kind not in (Kind.STANDING, Kind.REPLAY)
+    )  # fmt: skip
+
+
 def running(role: Role, sections: Collection[str] = ()) -> tuple[ProcessRow, ...]:
     """List the processes that run in a role: the standing ones, and the others that have a section."""
     return tuple(row for row in PROCESSES if role in row.roles and (row.kind is Kind.STANDING or row.name in sections))

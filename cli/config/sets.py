@@ -5,14 +5,11 @@ from typing import Annotated
 
 import typer
 
-from shared import shipped
-from shared.bounded import TOML_BYTES, read_text
 from shared.errors import UserError
 from shared.settings.edit import checked, edited
+from shared.settings.sets import hardware_sets
 
 from ..output_file import insist_on_new, write_text
-
-FOLDER = shipped(Path("deploy/vehicles/sets"))
 
 
 def begin(
@@ -31,10 +28,10 @@ def begin(
     [bold]obu config begin[/]
     [bold]obu config begin f9p_xsens --name van-3 --out van.toml[/]
     """
-    files = {path.stem: read_text(path, TOML_BYTES) for path in sorted(FOLDER.glob("*.toml"))}
+    files = {one.name: one.text for one in hardware_sets()}
     if name is None:
-        for one, text in files.items():
-            print(f"{one:14} {text.partition(chr(10))[0].removeprefix('#').strip()}")
+        for one in hardware_sets():
+            print(f"{one.name:14} {one.what}")
         return 0
     if name not in files:
         raise UserError(f"there is no set {name!r}; `obu config begin` lists {', '.join(files)}")

@@ -36,7 +36,7 @@ done
 OBU_VEHICLE=/etc/obu/vehicle.toml OBU_STATE=/var/lib/obu .venv/bin/python -m cli keys make \
     --broker-files /etc/obu/broker --broker-user mosquitto --group obu
 
-cp -r deploy/systemd/{obu,rsu}.target deploy/systemd/obu-broker.service deploy/systemd/obu@* /etc/systemd/system/
+cp -r deploy/systemd/{obu,rsu}.target deploy/systemd/obu-broker.service deploy/systemd/obu-switched.* deploy/systemd/obu@* /etc/systemd/system/
 # Some kernels give no real-time priority to services (CONFIG_RT_GROUP_SCHED): Nice=-10 is used instead.
 if ! chrt --rr 1 true 2>/dev/null; then
     echo "no real-time priority for services with this kernel: the hot path gets Nice=-10"
@@ -51,16 +51,9 @@ systemctl disable --quiet --now mosquitto.service
 # The role of the unit's file decides which target is started.
 role=$(.venv/bin/python -c 'from shared.runtime.config import *; print(load_vehicle("/etc/obu/vehicle.toml").role)')
 systemctl disable --quiet --now "$([ "$role" = obu ] && echo rsu || echo obu).target"
-# In addition to those of the target, processes with a section in the vehicle file are enabled.
-optional='from shared.processes import *; print(*(row.name for row in PROCESSES if row.kind is not Kind.STANDING))'
-for name in $(.venv/bin/python -c "$optional"); do
-    if grep -q "^\[${name//./\\.}[].]" /etc/obu/vehicle.toml; then
-        systemctl enable --quiet "obu@$name.service"
-    else
-        systemctl disable --quiet --now "obu@$name.service"
-    fi
-done
-systemctl enable --quiet "$role.target"
+# In addition to those of the target, processes with a section in the settings are enabled.
+OBU_VEHICLE=/etc/obu/vehicle.toml OBU_STATE=/var/lib/obu deploy/systemd/switch.sh enable
+systemctl enable --quiet "$role.target" obu-switched.path
 systemctl restart --no-block "$role.target" # a process that cannot start would hold this up without end
 [ -z "${OBU_NO_LINK:-}" ] || exit 0
 echo "to log in on its page (docs/how-to/let-others-look.md):"

@@ -32,8 +32,8 @@ class LivenessSignal:
         words = [WATCHDOG]
         if connected is not self._told:
             words = [READY, CONNECTED if connected else WAITING, WATCHDOG]
-            self._told = connected
-        self._send("\n".join(words))
+        if self._send("\n".join(words)):
+            self._told = connected  # one that did not arrive is said again: systemd waits for it
         if self._file:
             self._touch(self._file + LOOP_SUFFIX)
             if connected:
@@ -46,15 +46,17 @@ class LivenessSignal:
             self._socket.close()
             self._socket = None
 
-    def _send(self, text: str) -> None:
+    def _send(self, text: str) -> bool:
         if self._socket is None:
-            return
+            return True
         try:
             self._socket.sendto(text.encode(), self._address)
         except BlockingIOError:
-            return  # the listener has not read the ones before: it is late, and no one here is
+            return False  # the listener has not read the ones before: it is late, and no one here is
         except OSError as error:
             self.fault = f"cannot tell the service manager: {error.strerror}"
+            return False
+        return True
 
     def _touch(self, path: str) -> None:
         try:

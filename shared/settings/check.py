@@ -14,12 +14,14 @@ from pydantic import ValidationError
 from ..errors import ConfigError, UserError
 from ..messages.explanation import QUOTED_LENGTH, Explanation, QuotedText, explain
 from ..messages.settings import SettingDifference, SettingRow
+from ..processes import BY_NAME, switchable
 from ..recording.writer import without_users
 from ..runtime.config import VehicleFile, parse_vehicle
 from .catalogue import FACTS, Setting, catalogue, find, value_of, values_of
 from .digests import digest_in
-from .edit import REMOVED, checked, differences, edited, touched
+from .edit import REMOVED, checked, differences, edited, touched, with_sections
 from .question import Answer, Question
+from .sets import values_of_sets
 
 MEANING, VALUE = 600, 4000  # characters of a message
 # With another name or role the unit is another one: its secrets, topics and processes follow from them. What names a
@@ -28,6 +30,7 @@ FIXED = re.compile(rf"{FACTS}\.(name|role)|.*(^|[._])(command|file|files|folder|
 OPENS_FILE = re.compile(r"(?i)\s*file:|[?&;]\w*file=")
 TOO_LONG = "(too long to be shown)"
 SHORT = 300  # characters of a difference
+TRUE, FALSE = "true", "false"
 
 
 class Code(StrEnum):
@@ -45,16 +48,24 @@ def answer(question: Question) -> Answer:
     """Judge a change; without one, describe the text that holds."""
     try:
         before = parse_vehicle(question.text, question.path)
-        stored = {name: _stored(before, name) for name in question.changes}
-        if fixed := [name for name, value in stored.items() if FIXED.fullmatch(name) or len(value) > VALUE]:
+        switches, values = _parted(question.changes, switchable(before.role))
+        stored = {name: _stored(before, name) for name in values}
+        if fixed := [name for name, value in stored.items() if _is_fixed(name, value, values[name])]:
             return Answer(refusals=tuple(refusal(Code.FIXED, setting=name) for name in fixed))
         if question.replacement is None:
-            changed, refusals = asked_values(question.changes, (FACTS, *before.processes))
+            runs = {name: value == TRUE for name, value in switches.items()}
+            sections = [name for name in (*before.processes, *runs) if runs.get(name, True)]
+            changed, refusals = asked_values(values, (FACTS, *sections))
+            refusals += tuple(
+                refusal(Code.INVALID, error=f"{name}: true and false are possible, and not {value}")
+                for name, value in switches.items() if value not in (TRUE, FALSE, None)
+            )  # fmt: skip
             # A change would lose what is not shown.
             refusals += tuple(refusal(Code.SECRET, setting=name) for name, value in stored.items() if _has_user(value))
             if refusals:
                 return Answer(refusals=refusals)
-            text = edited(question.text, changed) if changed else question.text
+            text = with_sections(question.text, runs) if runs else question.text
+            text = edited(text, changed) if changed else text
         else:
             text = question.replacement
         after = checked(text, question.path)
@@ -72,9 +83,12 @@ def answer(question: Question) -> Answer:
         return Answer(refusals=(explain(Code.NOTHING),))
     return Answer(
         text=text,
-        differences=tuple(
-            SettingDifference(name=one.setting.name, before=_short(one.before), after=_short(one.after))
-            for one in changes
+        differences=(
+            *_switched(before, after),
+            *(
+                SettingDifference(name=one.setting.name, before=_short(one.before), after=_short(one.after))
+                for one in changes
+            ),
         ),
         touched=tuple(names),
         digests=digests(after),
@@ -111,8 +125,17 @@ def asked_values(
 
 
 def rows(file: VehicleFile) -> list[SettingRow]:
-    """Every setting of a file's processes with its value."""
-    return [_row(setting, value) for setting, value in values_of(file, catalogue(file.role, file.processes)).items()]
+    """Every setting of a file's processes with its value, and of each process that may run whether it does."""
+    settings = values_of(file, catalogue(file.role, file.processes)).items()
+    return [
+        *(_row(setting, value) for setting, value in settings),
+        *(
+            SettingRow(
+                name=name, kind="boolean", value=TRUE if name in file.processes else FALSE, default=FALSE,
+                meaning=BY_NAME[name].purpose[:MEANING],
+            ) for name in switchable(file.role)
+        ),
+    ]  # fmt: skip
 
 
 def digests(file: VehicleFile) -> dict[str, str]:
@@ -131,6 +154,31 @@ def refusal(code: Code, **texts: str) -> Explanation:
     return explain(
         code, **{name: QuotedText(quoted=without_users(text)[:QUOTED_LENGTH]) for name, text in texts.items()}
     )
+
+
+def _parted(
+    changes: Mapping[str, str | None], switches: Collection[str]
+) -> tuple[dict[str, str | None], dict[str, str | None]]:
+    """Changes of whether processes run, by their names, and those of settings."""
+    return (
+        {name: value for name, value in changes.items() if name in switches},
+        {name: value for name, value in changes.items() if name not in switches},
+    )
+
+
+def _switched(before: VehicleFile, after: VehicleFile) -> Iterator[SettingDifference]:
+    for name in switchable(after.role):
+        was, runs = (TRUE if name in file.processes else FALSE for file in (before, after))
+        if was != runs:
+            yield SettingDifference(name=name, before=was, after=runs)
+
+
+def _is_fixed(name: str, stored: str, asked: str | None) -> bool:
+    """Whether a setting cannot be changed; a value of a set of hardware of this release may always be chosen."""
+    if len(stored) > VALUE:
+        return True
+    chosen = stored if asked is None else asked
+    return FIXED.fullmatch(name) is not None and chosen not in values_of_sets().get(name, ())
 
 
 def _short(value: object) -> str:

@@ -9,6 +9,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from ..errors import UserError
+from ..processes import BY_NAME
 from ..runtime.config import VehicleFile, parse_vehicle
 from ..runtime.migration import table_at
 from .catalogue import FACTS, Setting, catalogue, uses_facts, validate, values_of
@@ -78,6 +79,27 @@ def edited(text: str, changes: Mapping[str, object]) -> str:
         raise UserError(f"the file cannot be edited: {error}; correct it by hand") from error
 
 
+def with_sections(text: str, runs: Mapping[str, bool]) -> str:
+    """Text of a file with the sections of processes that are to run, and without those of processes that are not.
+
+    Raises
+    ------
+    UserError
+        The file is no TOML that can be edited.
+    """
+    try:
+        file = cast("MutableMapping[str, object]", tomlkit.parse(text))
+        for name, wanted in runs.items():
+            layer, process = name.split(".")
+            if not wanted and _has(file, [layer], process):
+                table_at(file, [layer]).pop(process)
+            elif wanted:
+                table_at(file, [layer, process])
+        return tomlkit.dumps(cast(tomlkit.TOMLDocument, file))
+    except TOMLKitError as error:
+        raise UserError(f"the file cannot be edited: {error}; correct it by hand") from error
+
+
 def checked(text: str, path: str) -> VehicleFile:
     """Read a file and every section of it; raises `ConfigError` with what is wrong, before anything is written."""
     file = parse_vehicle(text, path)
@@ -95,13 +117,13 @@ def differences(before: VehicleFile, after: VehicleFile) -> list[Difference]:
 
 def touched(changes: list[Difference], after: VehicleFile, before: VehicleFile) -> list[str]:
     """Processes for which the files differ: they take it up when they start again."""
-    sections = {change.setting.section for change in changes}
+    other = set(after.processes) ^ set(before.processes)  # begins or ends with its section
+    sections = {change.setting.section for change in changes} | other
     names = [
         name for name in after.processes
-        if name in sections or (FACTS in sections and uses_facts(name))
+        if name in sections or (FACTS in sections and uses_facts(name)) or (other and BY_NAME[name].observes_all)
         or any(section.startswith(READS.get(name, ())) for section in sections)
     ]  # fmt: skip
-    other = set(after.processes) ^ set(before.processes)  # begins or ends with its section
     return sorted({*names, *other}, key=[*after.processes, *before.processes].index)
 
 

@@ -328,7 +328,7 @@ def test_the_publisher_of_the_clock_of_the_host_may_read_it_and_not_set_it() -> 
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
-@pytest.mark.parametrize("name", ["obu-broker", *(f"obu@{row.name}" for row in PROCESSES)])
+@pytest.mark.parametrize("name", ["obu-broker", "obu-switched", *(f"obu@{row.name}" for row in PROCESSES)])
 def test_systemd_understands_every_unit(name: str, tmp_path: Path) -> None:
     shutil.copytree(SYSTEMD, tmp_path / "units")
     result = subprocess.run(

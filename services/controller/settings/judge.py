@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from shared.messages.explanation import Explanation, explain, process, topic
 from shared.messages.operation import DeadlineReport, Freshness, ProcessHealth
+from shared.messages.settings import SettingsChange
 from shared.processes import BY_NAME
 from shared.topics import needs, publications, subscriptions
 
@@ -48,12 +49,22 @@ class Before:
         return cls(fresh, {one.process: one.restarts for one in report.processes})
 
 
-def outstanding(lives: Mapping[str, int], touched: Iterable[str], written_ns: int) -> tuple[str, ...]:
+def switched(change: SettingsChange, *, on: bool) -> tuple[str, ...]:
+    """Processes that a change lets begin, or end."""
+    wanted = "true" if on else "false"
+    return tuple(one.name for one in change.differences if one.name in BY_NAME and one.after == wanted)
+
+
+def outstanding(lives: Mapping[str, int], change: SettingsChange) -> tuple[str, ...]:
     """Touched processes that have not started since a change was written, by the begin of their lives [ns].
 
-    One that nobody has heard of does not run in this unit.
+    One without a heartbeat does not run in this unit, unless the change lets it begin.
     """
-    return tuple(name for name in touched if lives.get(name, written_ns + 1) <= written_ns)
+    written_ns, begin, end = change.begun_ns, switched(change, on=True), switched(change, on=False)
+    return tuple(
+        name for name in change.touched
+        if name not in end and lives.get(name, written_ns + (name not in begin)) <= written_ns
+    )  # fmt: skip
 
 
 class Rejects:
@@ -99,9 +110,11 @@ class Rejects:
 
 
 def worse(
-    before: Before, touched: tuple[str, ...], report: DeadlineReport, rejects: Rejects, watched_s: float
+    before: Before, change: SettingsChange, report: DeadlineReport, rejects: Rejects, watched_s: float
 ) -> tuple[Explanation, ...]:
     """Why the unit is worse than before; () if it is not."""
+    ended = switched(change, on=False)
+    touched = tuple(name for name in change.touched if name not in ended)
     found: list[Explanation] = []
     for one in report.processes:
         if one.process not in touched:
@@ -111,7 +124,8 @@ def worse(
             found.append(explain(Code.PROCESS_DOWN, process(one.process)))
         elif ends >= ENDS:
             found.append(explain(Code.KEEPS_ENDING, process(one.process), ends_number=ends, watched_s=watched_s))
-    follows = downstream(touched)
+    # What came from a process that is switched off is missed only where one that is switched on takes its place.
+    follows = downstream(touched) - (downstream(ended) - downstream(switched(change, on=True)))
     found += [
         explain(Code.TOPIC_SILENT, topic(one.topic))
         for one in report.topics

@@ -283,7 +283,7 @@ class Process:
         self._publish_state()
 
     def _outstanding(self, watched: Watched) -> tuple[str, ...]:
-        return outstanding(self._rejects.lives, watched.change.touched, watched.change.begun_ns)
+        return outstanding(self._rejects.lives, watched.change)
 
     def _judge(self, report: DeadlineReport) -> None:
         """Compare with before, once the processes have started again and had time to settle."""
@@ -298,7 +298,7 @@ class Process:
         if self._begun_ns is None or now_ns - self._begun_ns < self._config.settle_s * NS:
             return
         before, since_s = Before(watched.fresh, watched.restarts), (now_ns - self._begun_ns) / NS
-        reasons = worse(before, watched.change.touched, report, self._rejects, since_s)
+        reasons = worse(before, watched.change, report, self._rejects, since_s)
         if not reasons:
             self._worse_ns = None
             return

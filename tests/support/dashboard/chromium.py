@@ -27,8 +27,8 @@ def program() -> str | None:
 
 
 @contextmanager
-def chromium() -> Iterator[Browser]:
-    """Run a browser for the length of a block."""
+def chromium(names: str = "MAP obu.local 127.0.0.1") -> Iterator[Browser]:
+    """Run a browser for the length of a block; `names` are rules by which it resolves names."""
     path = program()
     if path is None:
         pytest.skip("no Chromium here: `apt-get install chromium-headless-shell`, or chromium")
@@ -36,7 +36,7 @@ def chromium() -> Iterator[Browser]:
         pytest.skip("the browser tests' libraries are missing: `python deploy/install_dashboard.py --testing`")
     # A name that resolves here makes the page an insecure context, as on a vehicle's own network.
     arguments = [
-        "--host-resolver-rules=MAP obu.local 127.0.0.1",
+        f"--host-resolver-rules={names}",
         *WEBGL,
         *(["--no-sandbox"] if os.geteuid() == 0 else []),
     ]

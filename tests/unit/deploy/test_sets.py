@@ -1,6 +1,8 @@
 """The sets of hardware from which a set-up begins: valid, and each parses a recording of its devices."""
 
+import json
 from pathlib import Path
+from typing import cast
 
 import pytest
 
@@ -13,7 +15,9 @@ from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.vehicle import CanRaw, VehicleSpeed
 from shared.runtime.config import VehicleFile, load_vehicle
 from shared.runtime.offline import OfflineUnit
+from shared.settings.check import answer
 from shared.settings.edit import checked
+from shared.settings.question import Question
 from tests.support.cases import each
 from tests.support.data import REPOSITORY, recording
 
@@ -46,7 +50,7 @@ def test_a_set_is_a_valid_file_of_a_vehicle_and_can_be_begun_from(
 
 
 def test_a_set_that_is_not_there_is_an_error_that_lists_them(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="f9p_xsens, f9r, m9n_line_imu, nmea_obd"):
+    with pytest.raises(UserError, match="f9p_xsens, f9r, m9n_line_imu, nmea_obd, simulated"):
         begin("f9x", out=tmp_path / "out.toml")
 
 
@@ -56,6 +60,35 @@ def test_the_page_shows_each_set_with_what_it_is_and_what_it_sets() -> None:
     settings = shown["f9r"]["settings"]
     assert isinstance(settings, dict) and settings["parsers.gnss.use_receiver_imu"] == "true"
     assert all(str(one["what"]).strip() for one in shown.values())
+    assert shown["simulated"]["runs"] == {
+        "sensors.gnss": False, "sensors.imu": False, "sensors.can": False, "sensors.simulator": True
+    }  # fmt: skip
+
+
+def test_a_table_that_is_one_setting_is_one_value_and_a_process_is_none() -> None:
+    settings = sets(["parsers.imu.line", "sensors.simulator"])
+    lines = next(one["settings"] for one in settings if one["name"] == "m9n_line_imu")
+    assert isinstance(lines, dict) and json.loads(lines["parsers.imu.line"])["form"] == "csv"
+    simulated = next(one["settings"] for one in settings if one["name"] == "simulated")
+    assert isinstance(simulated, dict) and simulated["sensors.simulator.scenario"] == '"urban"'
+    # It is the file of the demo; only the vehicle's name and the page's port are those of each.
+    whole, own = (load_vehicle(SETS / name).tables for name in ("../simulated.toml", "simulated.toml"))
+    assert {k: v for k, v in whole.items() if k not in ("vehicle", "monitoring.status")} == {
+        k: v for k, v in own.items() if k != "vehicle"
+    }
+
+
+@each("name", NAMES)
+def test_a_set_can_be_chosen_on_the_page_of_a_unit_of_any_other(name: str) -> None:
+    chosen = next(one for one in sets(["parsers.imu.line"]) if one["name"] == name)
+    runs, settings = (cast("dict[str, object]", chosen[part]) for part in ("runs", "settings"))
+    changes = {one: str(on).lower() for one, on in runs.items()} | cast("dict[str, str | None]", settings)
+    for path in SETS.glob("*.toml"):
+        if path.stem == name:
+            continue
+        found = answer(Question(path=str(path), text=path.read_text(), changes=changes))
+        assert not found.refusals, (path.stem, found.refusals)
+        assert {one for one, on in runs.items() if on} <= found.digests.keys()
 
 
 @pytest.mark.recording

@@ -1,6 +1,6 @@
 // The close-up view from above: our own drawing, so that it works without a map, a GPU or the internet.
 import { useEffect, useRef, useState } from "preact/hooks";
-import { ageS, clock, history, isOld, isPast, remember, settings, state } from "./store.js";
+import { session, ageS, clock, history, isOld, isPast, remember, settings, state } from "./store.js";
 import { Age, Card, Empty, Icon, compass, degrees, fixed, html, metres } from "./parts.js";
 import { words } from "./words.js";
 
@@ -183,7 +183,7 @@ export function CloseUp() {
   const aside = sc && html`<${Age} topic="navigation/solution" stamp=${sc.s.updated_ns} />`;
   return html`<${Card} title=${w.title} id="closeup" class="closeup-card" aside=${aside}>
     <div class="stage" ref=${box}>
-      ${!sc ? html`<${Empty} title=${w.empty} why=${w.emptyWhy} what=${state.value?.banner.action} />`
+      ${!sc ? html`<${Empty} title=${w.empty} why=${w.emptyWhy} what=${state.value?.banner.action} />${session.value?.role === "admin" && !state.value?.replay && html`<p class="note block"><a href="#/set_up">${w.setUp}</a></p>`}`
         : table ? html`<table class="plain"><thead><tr>${w.columns.map((c) => html`<th>${c}</th>`)}</tr></thead>
             <tbody>${[...items(sc), ["heading", words.position.heading, `${fixed(compass(sc.s.heading_rad), 1)}°`]]
               .map(([, name, value]) => html`<tr><th scope="row">${name}</th><td>${value}</td></tr>`)}</tbody></table>`

@@ -191,6 +191,7 @@ export const words = {
     apart: (metres) => `${metres} from the position`,
     empty: "No position to draw yet.",
     emptyWhy: "A position appears when the navigation filter has inertial data, a GNSS fix and a heading.",
+    setUp: "Set up this unit",
   },
 
   position: {

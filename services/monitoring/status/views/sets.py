@@ -1,37 +1,26 @@
 """Sets of hardware from which a set-up begins: files of deploy/vehicles/sets."""
 
-from functools import cache
-from pathlib import Path
+from collections.abc import Collection
 
-from pydantic_core import to_json
-
-from shared import shipped
-from shared.bounded import TOML_BYTES, load_toml, read_text
 from shared.page.answers import Object
+from shared.processes import BY_NAME, Kind, Role, switchable
+from shared.settings.sets import hardware_sets
 
-FOLDER = shipped(Path("deploy/vehicles/sets"))
-
-
-@cache
-def sets() -> list[Object]:
-    """Name, what it is made of (the first comment of its file), and every setting as JSON."""
-    found: list[Object] = []
-    for path in sorted(FOLDER.glob("*.toml")):
-        text = read_text(path, TOML_BYTES)
-        found.append({
-            "name": path.stem,
-            "what": text.partition("\n")[0].removeprefix("#").strip(),
-            "settings": dict(_leaves("", load_toml(text))),
-        })  # fmt: skip
-    return found
+OF_DEVICES = (Kind.DEVICE_DRIVER, Kind.SIMULATOR)
 
 
-def _leaves(prefix: str, table: dict[str, object]) -> list[tuple[str, str]]:
-    found = []
-    for key, value in table.items():
-        name = f"{prefix}{key}"
-        if isinstance(value, dict):
-            found += _leaves(f"{name}.", value)
-        elif name != "vehicle.name":
-            found.append((name, to_json(value).decode()))
-    return found
+def sets(known: Collection[str] = ()) -> list[Object]:
+    """Name, what it is made of, every setting as JSON (see `HardwareSet`), and which processes run.
+
+    A set decides on those that it has a section of, and on each other one that reads or simulates devices of a set.
+    """
+    devices = {name for one in hardware_sets() for name in one.runs if BY_NAME[name].kind in OF_DEVICES}
+    return [
+        {
+            "name": one.name,
+            "what": one.what,
+            "settings": dict(one.settings(known)),
+            "runs": {name: name in one.runs for name in switchable(Role.OBU) if name in devices or name in one.runs},
+        }
+        for one in hardware_sets()
+    ]

@@ -39,7 +39,11 @@ JOB_S = 900.0  # after which a survey is ended
 BATCHES = 2000  # of samples of which the noise is told: 20 s of a sensor that sends each by itself
 FORGOTTEN_NS = 10_000_000_000
 IMU = "imu/sample"
-OF_SETS = frozenset(name for one in sets() for name in cast("dict[str, str]", one["settings"]))
+OF_SETS = frozenset(
+    ".".join(name.split(".")[:length])
+    for one in sets() for part in ("settings", "runs") for name in cast("dict[str, object]", one[part])
+    for length in range(2, name.count(".") + 2)
+)  # fmt: skip
 
 
 class Action(StrEnum):
@@ -163,7 +167,7 @@ class SetUpApi:
                 "corrections": views.corrections(self._state, now_ns),
                 "receiver": views.receiver(self._state),
                 "values": values,
-                "sets": sets(),
+                "sets": sets(values),
                 "survey": self._survey_shown(result, values, running=running),
             }
 

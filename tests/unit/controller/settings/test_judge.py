@@ -11,9 +11,22 @@ from shared.messages.operation import (
     ProcessStatus,
     TopicAge,
 )
+from shared.messages.settings import SettingDifference, SettingsChange, SettingsStage
 
 S = 1_000_000_000
 TOUCHED = ("sensors.gnss",)
+
+
+def change(*touched: str, **runs: bool) -> SettingsChange:
+    """A change at 9 s; `runs` names processes, a point written as two underscores, that it switches on or off."""
+    differences = tuple(
+        SettingDifference(name=name.replace("__", "."), before=str(not on).lower(), after=str(on).lower())
+        for name, on in runs.items()
+    )
+    touched += tuple(one.name for one in differences)
+    return SettingsChange(
+        request_id="1", by="x", stage=SettingsStage.WATCHED, begun_ns=9 * S, differences=differences, touched=touched
+    )
 
 
 def report(
@@ -33,7 +46,7 @@ BEFORE = Before.of(report(CAME))
 
 
 def codes(after: DeadlineReport, rejects: Rejects | None = None) -> list[tuple[str, str]]:
-    found = worse(BEFORE, TOUCHED, after, rejects or Rejects(), 30.0)
+    found = worse(BEFORE, change(*TOUCHED), after, rejects or Rejects(), 30.0)
     return [(one.code, one.subject.name if one.subject else "") for one in found]
 
 
@@ -56,9 +69,23 @@ def test_a_process_that_does_not_run_or_keeps_ending_is_worse_and_one_restart_is
 
 
 def test_a_change_is_judged_from_the_start_of_the_processes_that_it_touches() -> None:
-    assert outstanding({"sensors.gnss": 5 * S}, TOUCHED, 9 * S) == TOUCHED
-    assert not outstanding({"sensors.gnss": 10 * S}, TOUCHED, 9 * S)
-    assert not outstanding({}, TOUCHED, 9 * S), "it does not run in this unit"
+    assert outstanding({"sensors.gnss": 5 * S}, change(*TOUCHED)) == TOUCHED
+    assert not outstanding({"sensors.gnss": 10 * S}, change(*TOUCHED))
+    assert not outstanding({}, change(*TOUCHED)), "it does not run in this unit"
+
+
+def test_a_process_that_is_switched_on_has_to_start_and_one_that_is_switched_off_has_not() -> None:
+    on = change(sensors__simulator=True, sensors__gnss=False)
+    assert outstanding({}, on) == ("sensors.simulator",)
+    assert outstanding({"sensors.gnss": 5 * S, "sensors.simulator": 10 * S}, on) == ()
+
+
+def test_what_a_process_that_is_switched_off_sent_is_missed_only_where_another_one_takes_its_place() -> None:
+    silent, gone = dict.fromkeys(CAME, Freshness.STALE), report(CAME, ProcessStatus.LOST)
+    off, instead = change(sensors__gnss=False), change(sensors__gnss=False, sensors__simulator=True)
+    assert not worse(BEFORE, off, report(silent), Rejects(), 30.0) and not worse(BEFORE, off, gone, Rejects(), 30.0)
+    found = worse(BEFORE, instead, report(silent), Rejects(), 30.0)
+    assert {one.subject.name for one in found if one.subject} == {"gnss/raw", "gnss/fix", "can/raw"}
 
 
 def health(process: str, sent_s: int, rejects: int, life_s: int = 0) -> ProcessHealth:

@@ -1,5 +1,6 @@
 """Signs of life reach a service manager and a container's supervisor."""
 
+import contextlib
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -65,3 +66,22 @@ def test_without_a_listener_nothing_is_said() -> None:
     alive.beat(connected=True)
     alive.stopping()
     assert alive.fault is None
+
+
+def test_a_sign_that_the_listener_was_too_late_for_is_given_again(manager: tuple[socket.socket, str]) -> None:
+    listener, address = manager
+    others = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    others.setblocking(False)
+    with others:
+        target = "\0" + address[1:] if address.startswith("@") else address
+        sent = 0
+        with contextlib.suppress(BlockingIOError):
+            for sent in range(10_000):  # noqa: B007  # as many as the listener's queue holds
+                others.sendto(b"x", target)
+    alive = LivenessSignal({"NOTIFY_SOCKET": address})
+    alive.beat(connected=True)
+    for _ in range(sent):
+        assert listener.recv(10) == b"x"
+    alive.beat(connected=True)
+    assert listener.recv(1000).decode().startswith("READY=1"), "a service manager waits for it"
+    alive.stopping()

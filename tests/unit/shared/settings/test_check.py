@@ -6,7 +6,7 @@ import pytest
 
 from shared.runtime.config import parse_vehicle
 from shared.settings.check import Code, answer, digests
-from shared.settings.question import Question
+from shared.settings.question import Answer, Question
 
 TEXT = """# A comment.
 [vehicle]
@@ -102,3 +102,42 @@ def test_the_page_starts_again_where_a_device_of_the_unit_changes() -> None:
     assert {"sensors.gnss", "monitoring.status"} <= set(found.touched)
     before = digests(parse_vehicle(TEXT, "car.toml"))
     assert before["monitoring.status"] != found.digests["monitoring.status"]
+
+
+def asked(**changes: str | None) -> Answer:
+    """Answer to changes whose names have two underscores for a point."""
+    named = {name.replace("__", "."): value for name, value in changes.items()}
+    return answer(Question(path="car.toml", text=TEXT, changes=named))
+
+
+def test_a_process_is_switched_on_with_its_settings_and_another_one_off() -> None:
+    found = asked(sensors__simulator="true", sensors__simulator__seed="7", sensors__gnss=None)
+    assert not found.refusals
+    assert parse_vehicle(found.text).tables["sensors.simulator"] == {"seed": 7} and "[sensors.gnss]" not in found.text
+    values = {one.name: (one.before, one.after) for one in found.differences}
+    assert (values["sensors.simulator"], values["sensors.gnss"]) == (("false", "true"), ("true", "false"))
+    assert {"sensors.simulator", "sensors.gnss", "monitoring.health"} <= set(found.touched)
+    runs = {row.name: row.value for row in found.settings if row.name.count(".") == 1}
+    assert runs["sensors.simulator"] == "true" and runs["sensors.gnss"] == "false" and "core.fusion" not in runs
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "code"),
+    [
+        ("sensors.simulator", '"yes"', Code.INVALID),
+        ("sensors.simulator.seed", "7", Code.UNKNOWN),  # it does not run
+        ("core.fusion", "false", Code.UNKNOWN),  # it always runs
+        ("sensors.replay", "true", Code.UNKNOWN),
+        ("sensors.traffic", "true", Code.UNKNOWN),  # of another role
+        ("parsers.can.dbc_file", '"/etc/passwd"', Code.FIXED),
+    ],
+)
+def test_what_is_no_switch_of_this_unit_is_refused(name: str, value: str, code: Code) -> None:
+    (refused,) = asked(**{name: value}).refusals
+    assert refused.code == code
+
+
+def test_of_files_those_of_a_set_of_hardware_may_be_chosen_alone() -> None:
+    signals = {f"parsers__can__wheel_speed_signals__{place}": '"A"' for place in ("front_left", "front_right")}
+    found = asked(parsers__can__dbc_file='"deploy/vehicles/simulated.dbc"', **signals)
+    assert Code.FIXED not in {one.code for one in found.refusals}

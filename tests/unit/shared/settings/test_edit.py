@@ -60,7 +60,9 @@ def test_processes_that_read_what_changed_start_again() -> None:
     names = touched(differences(BEFORE, after), after, BEFORE)
     assert "core.fusion" in names and "monitoring.recorder" not in names
     after = checked(f"{TEXT}\n[controller.cam]\nstation_id = 9\n", "car.toml")
-    assert touched(differences(BEFORE, after), after, BEFORE) == ["controller.cam"]
+    assert touched(differences(BEFORE, after), after, BEFORE) == [
+        "controller.cam", "monitoring.recorder", "monitoring.health", "monitoring.status"
+    ], "it begins, and what observes all processes looks for it"  # fmt: skip
 
 
 @each(

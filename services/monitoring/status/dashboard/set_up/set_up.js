@@ -61,25 +61,31 @@ function Changed({ open, run }) {
     ${["watched", "kept"].includes(open.stage) && html` <button onClick=${() => run(null)}>${w.takeBack}</button>`}</p>`;
 }
 
-function Sets({ report, may, change }) {
+// What a set changes here: processes that begin or end, its settings, and those of another set, which go back.
+function changesOf(set, sets, values) {
+  const others = sets.filter((other) => other !== set).flatMap((other) => Object.entries(other.settings));
+  const left = others.filter(([name, value]) => !(name in set.settings) && values[name] === value && set.runs[name.split(".").slice(0, 2).join(".")] !== false);
+  const switched = Object.entries(set.runs).filter(([name, runs]) => (values[name] === "true") !== runs);
+  const own = Object.entries(set.settings).filter(([name, value]) => values[name] !== value);
+  return Object.fromEntries([...left.map(([name]) => [name, null]), ...switched.map(([name, runs]) => [name, String(runs)]), ...own]);
+}
+
+function Sets({ report, may, change, changing }) {
   const { sets, values } = report;
-  if (!sets.length) return null;
+  if (!sets.length || !("vehicle.name" in values)) return null; // controller.settings has just started
   return html`<h3>${w.sets}</h3><ul class="sets">${sets.map((set) => {
-    const own = Object.entries(set.settings);
-    const here = own.filter(([name]) => name in values);
-    const used = here.length > 0 && here.every(([name, value]) => values[name] === value);
-    return html`<li key=${set.name}><p><strong>${set.what}</strong></p>
-      ${own.length > here.length && html`<p class="note">${w.partly(own.length - here.length)}</p>`}
-      ${used ? html`<span>${w.chosen}</span>` : html`<button disabled=${!may.admin || !here.length} onClick=${() => change(Object.fromEntries(here))} aria-label=${`${w.choose}: ${set.what}`}>${w.choose}</button>`}</li>`;
+    const changes = changesOf(set, sets, values);
+    return html`<li key=${set.name}><p><strong>${w.setNames[set.name] ?? set.what}</strong></p>
+      ${!Object.keys(changes).length ? html`<span>${w.chosen}</span>` : html`<button disabled=${!may.admin || changing} onClick=${() => change(changes)} aria-label=${`${w.choose}: ${w.setNames[set.name] ?? set.what}`}>${w.choose}</button>`}</li>`;
   })}</ul>`;
 }
 
-function Unit({ report, may, act, change }) {
+function Unit({ report, may, act, change, changing }) {
   const present = JSON.parse(report.values["vehicle.name"] ?? '""');
   const [name, setName] = useState(null);
   return html`<label>${w.name} <input type="text" value=${name ?? present} maxlength="48" spellcheck="false" disabled=${!may.admin} onInput=${(e) => setName(e.target.value)} /></label>
     ${name !== null && name !== present && html`<button disabled=${!may.admin} onClick=${() => change({ "vehicle.name": JSON.stringify(name) })}>${w.save}</button>`}
-    <${Sets} report=${report} may=${may} change=${change} /><p class="note">${w.units}</p>
+    <${Sets} report=${report} may=${may} change=${change} changing=${changing} /><p class="note">${w.units}</p>
     <button disabled=${!may.operate} onClick=${() => act("confirm", "unit")}>${w.confirm}</button>`;
 }
 

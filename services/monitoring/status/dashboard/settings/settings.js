@@ -96,7 +96,7 @@ function SettingRow({ row, edited, edit, disabled }) {
   const plain = isText(row) || isNumber(row) || isChoice(row);
   const facts = [...(plain ? [] : [w.list]), ...row.bounds, w.default(shown(row.default))];
   return html`<li class="setting ${row.name in edited ? "edited" : ""}">
-    <label for=${`setting-${row.name}`}>${key.replaceAll("_", " ")}</label>
+    <label for=${`setting-${row.name}`}>${key.replaceAll("_", " ") || w.runs}</label>
     <${Field} row=${row} field=${field} edit=${(text) => edit(row, text)} disabled=${disabled} />
     <p class="note">${row.meaning} <span class="dim">(${facts.join(", ")})</span>
       ${field !== fieldOf(row, row.default) && !disabled && html` <button onClick=${() => edit(row, null)} aria-label=${w.useDefaultOf(row.name)}>${w.useDefault}</button>`}</p>

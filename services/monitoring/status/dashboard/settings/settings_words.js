@@ -16,6 +16,7 @@ export const settingsWords = {
   differing: (n) => `${n} changed`,
   default: (text) => `default ${text}`,
   notSet: "not set",
+  runs: "runs",
   useDefault: "Use the default",
   useDefaultOf: (name) => `Use the default of ${name}`,
   yes: "yes",
