@@ -24,7 +24,6 @@ from shared.bounded import load_json, read_bytes
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload
 from shared.evidence import keys_folder
-from shared.fleet.topics import RULE, VEHICLE
 from shared.library.library import Library
 from shared.messages.imu import ImuSamples
 from shared.page import body
@@ -288,6 +287,8 @@ class SetUpApi:
 
 def enrolment_page(centre: str, name: str) -> str:
     """Address of a centre's page Enrolment for a unit; raises `HTTPException`."""
+    from shared.fleet.topics import RULE, VEHICLE  # by who has a centre alone
+
     try:
         place = urlsplit(centre)
         usable = place.scheme == "https" and place.hostname and place.port != 0 and "@" not in place.netloc
