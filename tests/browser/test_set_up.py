@@ -98,6 +98,20 @@ def test_one_press_applies_what_a_drive_has_shown_and_what_is_unknown_changes_no
     expect(page.get_by_role("button", name="Apply 1 finding")).to_have_count(0)
 
 
+def test_the_last_step_offers_the_certificate_and_a_code_for_a_centre(
+    server: RunningServer, open_page: Callable[..., Page]
+) -> None:
+    page = open_page(server.address, theme="phone", path="set_up?step=drive", expected=("404",))
+    page.get_by_role("button", name="Download as PDF").click()
+    expect(page.get_by_text("Not made: the drive that was surveyed is not there")).to_be_visible()
+    address = page.get_by_label("Address of the centre's pages")
+    address.fill("http://centre.example")
+    expect(page.get_by_text("An address begins with https://")).to_be_visible()
+    address.fill("https://centre.example:8090")
+    expect(page.get_by_role("img", name="Opens the enrolment of car")).to_be_visible()
+    judge_everywhere(page, "set-up-centre")
+
+
 def test_a_phone_in_german_leads_in_german(server: RunningServer, open_page: Callable[..., Page]) -> None:
     page = open_page(server.address, theme="phone", path="set_up?step=imu", locale="de-DE")
     expect(page.get_by_text("Achse x des Geräts zeigt nach vorn, y nach links, z nach oben")).to_be_visible()

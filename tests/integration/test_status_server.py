@@ -313,7 +313,8 @@ def test_the_page_of_the_api_loads_no_external_resources(server: RunningServer) 
         "/api/series", "/api/fields/{name}", "/api/gnss", "/api/track", "/api/track.gpx", "/api/track.kml", "/api/map",
         "/api/hypotheses", "/api/command", "/api/alive", "/api/login", "/api/logout", "/api/session", "/api/tokens",
         "/api/recordings", "/api/recordings/{name}", "/api/recordings/{name}/report", "/api/page-error",
-        "/api/settings", "/api/set-up", "/api/draft", "/api/support",
+        "/api/settings", "/api/set-up", "/api/set-up/certificate", "/api/set-up/qr.svg",
+        "/api/draft", "/api/support",
     }  # fmt: skip
 
 

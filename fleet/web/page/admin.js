@@ -25,7 +25,7 @@ function useChange(done) {
   return { problem, busy, act };
 }
 
-function NewToken({ onMade }) {
+function NewToken({ vehicle: given, onMade }) {
   const w = all.enrolment;
   const [command, setCommand] = useState(null);
   const [copied, setCopied] = useState(false);
@@ -41,7 +41,7 @@ function NewToken({ onMade }) {
   };
   const copy = () => copyText(command).then(() => setCopied(true), () => {});
   return html`<${Card} title=${w.title} id="new-token"><form class="form" onSubmit=${make}>
-      <label>${w.vehicle}<input name="vehicle" maxlength="48" pattern="[A-Za-z0-9_\\-]*" autocapitalize="off" spellcheck="false" autocomplete="off" /><span class="note">${w.vehicleNote}</span></label>
+      <label>${w.vehicle}<input name="vehicle" defaultValue=${given} maxlength="48" pattern="[A-Za-z0-9_\\-]*" autocapitalize="off" spellcheck="false" autocomplete="off" /><span class="note">${w.vehicleNote}</span></label>
       <label>${w.hours}<input name="hours" type="number" min="1" max="720" value="24" required /></label>
       <div class="toolbar"><button type="submit" disabled=${busy}>${w.make}</button></div></form>
     <${Problem} text=${problem} />
@@ -79,11 +79,12 @@ function Revocable({ row, onChanged }) {
     <div class="toolbar"><button disabled=${busy} onClick=${() => act("api/revoke", { vehicle: row.vehicle, reason: why })}>${w.revoke}</button><button onClick=${() => setSure(false)}>${w.cancel}</button></div><${Problem} text=${problem} /></div>`;
 }
 
-export function EnrolmentPage() {
+// `name`: of the vehicle, where a unit's code has led here.
+export function EnrolmentPage({ name }) {
   const w = all.enrolment;
   const [find, setFind] = useState("");
   const { answer, error, again } = useAsked(`api/enrolment${find.trim() ? `?find=${encodeURIComponent(find.trim())}` : ""}`, 15000);
-  return html`<div class="page admin-page"><${NewToken} onMade=${again} /><${Problem} text=${error} />
+  return html`<div class="page admin-page"><${NewToken} vehicle=${name} onMade=${again} /><${Problem} text=${error} />
     <${Card} title=${w.vehicles} id="vehicles"><div class="toolbar filter"><input type="search" aria-label=${w.find} placeholder=${w.find} maxlength="48" value=${find} onInput=${(e) => setFind(e.target.value)} /></div>
       ${answer && (answer.vehicles.length === 0 ? html`<${Empty} title=${find.trim() ? all.map.none : w.none} />` : html`<${Table} label=${w.vehicles} columns=${w.columns}>
         ${answer.vehicles.map((row) => html`<tr key=${row.vehicle}><th scope="row"><a href=${`#/vehicles/${encodeURIComponent(row.vehicle)}`}>${row.vehicle}</a></th><td>${row.tls_until_ms == null ? w.noKey : utc(row.tls_until_ms)}</td><td>${row.evidence_keys}</td><td><${Age} ms=${row.utc_ms} /></td><td><${Revocable} row=${row} onChanged=${again} /></td></tr>`)}</${Table}>`)}

@@ -36,6 +36,7 @@ from .web.access.access import Access, Rules, is_simulated
 from .web.access.tokens import Tokens, tokens_folder
 from .web.command import CommandApi
 from .web.draft import DraftApi
+from .web.made_file import MadeFiles
 from .web.map import MapApi
 from .web.page_errors import PageErrorsApi, count
 from .web.recordings import Action, Job, RecordingsApi
@@ -146,13 +147,16 @@ class Process:
             Library(recordings_folder(bus)),
             Job((bus.state_dir / "jobs").resolve(), tokens_folder(bus.state_dir).resolve()),
         )
-        allowed = frozenset(map(Action, () if self._config.replay else self._config.recordings))
+        files, allowed = (
+            MadeFiles((bus.state_dir / "jobs").resolve()),
+            frozenset(map(Action, () if self._config.replay else self._config.recordings)),
+        )
         recordings, set_up = (
             RecordingsApi(library, job, allowed, partial(open_name, state)),
-            SetUpApi(state, lock, now_ns, bus.state_dir.resolve(), library, partial(open_name, state)),
+            SetUpApi(state, lock, now_ns, bus.state_dir.resolve(), library, partial(open_name, state), files),
         )
         server = self._make_server(
-            state, lock, bus, now_ns, (simulation, replay, recordings, operator, unit_settings, errors, set_up)
+            state, lock, bus, now_ns, files, (simulation, replay, recordings, operator, unit_settings, errors, set_up)
         )
         thread = threading.Thread(target=server.run, args=([listener],), name="web", daemon=True)
         threading.Thread(target=read_pasts, args=(bus, state, lock), name="past", daemon=True).start()
@@ -190,6 +194,7 @@ class Process:
         lock: threading.Lock,
         bus: Bus,
         now_ns: Callable[[], int],
+        files: MadeFiles,
         apis: tuple[SimulationApi, ReplayApi, RecordingsApi, CommandApi, SettingsApi, PageErrorsApi, SetUpApi],
     ) -> uvicorn.Server:
         folder = Path(self._config.static_dir) if self._config.static_dir else DASHBOARD
@@ -200,7 +205,7 @@ class Process:
         watching = ClientStreams(Stream(state, lock, now_ns, clients, apis[1]), Events(state, lock, now_ns, clients))
         maps = MapApi(state, lock, now_ns, self._config.map_file)
         access = self._make_access(bus)
-        support = SupportApi((bus.state_dir / "jobs").resolve(), access.tokens)
+        support = SupportApi(files, access.tokens)
         app = make_app(api, (series, *apis, maps, support, DraftApi()), read_pages(folder), watching, access)
         per_client, trusted = self._config.connections_per_client, access.rules.trusted_proxies
         connections = Connections(4 * clients + 16, per_client, trusted, access.rules.published)

@@ -177,8 +177,8 @@ def test_head_answers_as_get_without_a_body(page: GuardedPage, row: Row[Right]) 
     get, head = (page.ask(method, path, Right.ADMIN) for method in ("GET", "HEAD"))
     assert head.status_code == get.status_code
     assert head.headers["content-type"] == get.headers["content-type"]
-    # Diagnostics are collected into a folder that may outlive neither an answer cut off nor a head alone.
-    eventually(lambda: not list(page.folder.glob("jobs/support-*")))
+    # Files are made in a folder that may outlive neither an answer cut off nor a head alone.
+    eventually(lambda: not list(page.folder.glob("jobs/made-*")))
 
 
 def test_admin_makes_and_revokes_tokens_over_the_page(page: GuardedPage) -> None:

@@ -44,6 +44,7 @@ from .access.tokens import Tokens
 from .command import CommandApi
 from .draft import DraftApi
 from .looking import look_at
+from .made_file import MadeFiles
 from .map import MapApi
 from .page_errors import PageErrorsApi
 from .recordings import Command, Job, RecordingsApi
@@ -309,8 +310,9 @@ def app_without_unit() -> FastAPI:
     commands = CommandApi(state, lock, now_ns)
     series = SeriesApi(state, lock, now_ns, 1)
     unit_settings = SettingsApi(state, lock, now_ns)
-    set_up = SetUpApi(state, lock, now_ns, pathlib.Path(), Library(pathlib.Path()), lambda: None)
-    support = SupportApi(pathlib.Path(), Tokens(pathlib.Path()))
+    files = MadeFiles(pathlib.Path())
+    set_up = SetUpApi(state, lock, now_ns, pathlib.Path(), Library(pathlib.Path()), lambda: None, files)
+    support = SupportApi(files, Tokens(pathlib.Path()))
     more = (set_up, maps, PageErrorsApi(), support, DraftApi())
     apis = (series, simulation, replay, recordings, commands, unit_settings, *more)
     return make_app(api, apis, Pages({}, {}), watching, Access(Rules(), Tokens(pathlib.Path())))

@@ -1,17 +1,11 @@
 """Diagnostics over the web: what `obu support` collects, by a child process, as one file."""
 
 import logging
-import os
-import subprocess
-import sys
-import tempfile
-import threading
 from datetime import UTC, datetime
 from pathlib import Path
 
-from fastapi import FastAPI, HTTPException
+from fastapi import FastAPI
 from fastapi.responses import FileResponse
-from starlette.types import Receive, Scope, Send
 
 from shared.errors import UserError
 from shared.page.answers import Responses, refusals
@@ -19,6 +13,7 @@ from shared.runtime.config import LOGIN_VARIABLE
 
 from .access.rights import Right
 from .access.tokens import Tokens
+from .made_file import MadeFiles, Making
 
 log = logging.getLogger(__name__)
 
@@ -26,25 +21,11 @@ WITHIN_S = 120.0  # a Raspberry Pi with an hour's recording takes some 20 s
 RECORDED_MIN = "5"
 
 
-class _OfFolder(FileResponse):
-    """A file whose folder is deleted behind it, however the answer ends: sent, refused, cut off, or its head alone."""
-
-    def __init__(self, folder: tempfile.TemporaryDirectory[str], path: Path, name: str) -> None:
-        super().__init__(path, media_type="application/zip", filename=name)
-        self._kept = folder
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        try:
-            await super().__call__(scope, receive, send)
-        finally:
-            self._kept.cleanup()
-
-
 class SupportApi:
     """Collects diagnostics, one at a time; nothing is sent but to the browser that asks."""
 
-    def __init__(self, folder: Path, tokens: Tokens) -> None:
-        self._folder, self._tokens, self._busy = folder, tokens, threading.Lock()
+    def __init__(self, files: MadeFiles, tokens: Tokens) -> None:
+        self._files, self._tokens = files, tokens
 
     def add_to(self, app: FastAPI) -> None:
         """Add the route."""
@@ -57,41 +38,20 @@ class SupportApi:
 
     def collect(self) -> FileResponse:
         """Collect checks, settings without secrets, health, logs and the last minutes, as `obu support` does."""
-        if not self._busy.acquire(blocking=False):
-            raise HTTPException(409, "diagnostics are being collected; wait until they are there")
-        try:
-            self._folder.mkdir(exist_ok=True)
-            kept = tempfile.TemporaryDirectory(prefix="support-", dir=self._folder)
-            try:
-                path = self._collected(Path(kept.name))
-            except BaseException:
-                kept.cleanup()
-                raise
-        except OSError as error:
-            raise HTTPException(500, f"cannot write to {self._folder}: {error.strerror}; make room") from error
-        finally:
-            self._busy.release()
-        name = f"obu-support-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.zip"
-        return _OfFolder(kept, path, name)
+        logins: list[str] = []
 
-    def _collected(self, folder: Path) -> Path:
-        """Let the command collect into a folder, with a login of its own as long as it runs."""
-        path = folder / "support.zip"
-        # What the page tells needs a login, also of a program on this machine.
-        login = self._tokens.add_temporary("support", Right.VIEW, seconds=WITHIN_S)
-        command = ["nice", sys.executable, "-m", "cli", "support", "-o", str(path), "--minutes", RECORDED_MIN]
+        def how(path: Path) -> Making:
+            # What the page tells needs a login, also of a program on this machine.
+            logins.append(self._tokens.add_temporary("support", Right.VIEW, seconds=WITHIN_S))
+            arguments = ("support", "-o", str(path), "--minutes", RECORDED_MIN)
+            return Making(arguments, "application/zip", WITHIN_S, "obu support", {LOGIN_VARIABLE: logins[0]})
+
+        name = f"obu-support-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.zip"
         try:
-            done = subprocess.run(
-                command, env={**os.environ, LOGIN_VARIABLE: login, "TMPDIR": str(folder)}, stdin=subprocess.DEVNULL,
-                capture_output=True, text=True, timeout=WITHIN_S, check=False,
-            )  # fmt: skip
-        except (OSError, subprocess.TimeoutExpired) as error:
-            raise HTTPException(500, f"{error}; run `obu support` on the unit") from error
+            return self._files.make(how, name, "diagnostics are being collected; wait until they are there")
         finally:
-            self._end_login(login)
-        if done.returncode:
-            raise HTTPException(500, done.stderr.strip()[-300:] or "it ended without a word; run `obu support` there")
-        return path
+            for login in logins:
+                self._end_login(login)
 
     def _end_login(self, login: str) -> None:
         try:

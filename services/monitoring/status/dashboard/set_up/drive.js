@@ -2,6 +2,7 @@
 import { useEffect, useRef, useState } from "preact/hooks";
 import { isLive, state } from "../store.js";
 import { Icon, html } from "../parts.js";
+import { Centre, Certificate } from "./certificate.js";
 import { Ring } from "./pictures.js";
 import { language, setUpWords as w } from "./set_up_words.js";
 
@@ -113,6 +114,7 @@ export function Drive({ report, may, act, change, changing }) {
       ${pending.length ? html`<${Proposal} pending=${pending} values=${values} />
         <button disabled=${!may.admin || changing} onClick=${() => change(changes)}>${w.apply(pending.length)}</button>`
       : html`<p>${survey.applied.length ? w.appliedWhy : w.nothing}</p>`}`}
-    ${survey.result && html`<details><summary>${w.certificate}</summary><p class="note">${w.certificateWhy}</p><p><code>obu set-up ${survey.result.recording} --certificate ${JSON.parse(values["vehicle.name"] ?? '"car"')}.pdf</code></p></details>`}
+    ${survey.result && html`<${Certificate} may=${may} />`}
+    <${Centre} name=${JSON.parse(values["vehicle.name"] ?? '""')} />
     ${checks.length > 0 && html`<details><summary>${w.checks}</summary><ul class="checks long">${checks.map((c) => html`<li><${Icon} name=${VERDICT[c.verdict]} /><span>${c.sentence || c.name.replaceAll("_", " ")}</span> <span class="dim">${w.verdicts[c.verdict]}</span></li>`)}</ul></details>`}`;
 }

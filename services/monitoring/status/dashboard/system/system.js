@@ -2,8 +2,9 @@
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import { brokerAnswers, clock, connected, contract, freshness, isOld, nowMs, state } from "../store.js";
 import {
-  Age, Card, Drawer, FRESH_STATE, KindsTable, Row, STATUS_STATE, StateIcon, bytes, dayOf, duration, fixed, html, percent, rate, saveAs, seconds, timeOfDay, told, unfold,
+  Age, Card, Drawer, FRESH_STATE, KindsTable, Row, STATUS_STATE, StateIcon, bytes, dayOf, duration, fixed, html, percent, rate, seconds, timeOfDay, told, unfold,
 } from "../parts.js";
+import { Made, useMadeFile } from "../made_file.js";
 import { TopicDrawer } from "./inspector.js";
 import { words } from "../words.js";
 import { systemWords } from "./system_words.js";
@@ -263,22 +264,10 @@ function CentreCard() {
 // What somebody who helps needs to know, as one file; it takes some seconds, and nothing is sent elsewhere.
 function SupportCard() {
   const t = systemWords.support;
-  const [told, setTold] = useState({ busy: false, text: "", failed: false });
-  const collect = async () => {
-    setTold({ busy: true, text: t.collecting, failed: false });
-    try {
-      const answer = await fetch("api/support");
-      if (!answer.ok) throw new Error((await answer.json()).detail ?? answer.statusText);
-      const name = /filename="([^"]+)"/.exec(answer.headers.get("Content-Disposition") ?? "")?.[1] ?? "obu-support.zip";
-      saveAs(await answer.blob(), name);
-      setTold({ busy: false, text: t.done(name), failed: false });
-    } catch (problem) {
-      setTold({ busy: false, text: t.failed(problem.message), failed: true });
-    }
-  };
+  const [told, make] = useMadeFile({ ...t, making: t.collecting });
   return html`<${Card} title=${t.title} note=${t.note} id="support" fold>
-    <p class="block"><button disabled=${told.busy} onClick=${collect}>${t.download}</button></p>
-    <p class="note block" role="status">${told.failed && html`<${StateIcon} state="caution" word="" />`}${told.text}</p>
+    <p class="block"><button disabled=${told.busy} onClick=${() => make("api/support", "obu-support.zip")}>${t.download}</button></p>
+    <${Made} told=${told} />
   </${Card}>`;
 }
 

@@ -42,6 +42,8 @@ ROWS = (
     Row("POST", "/api/draft", Right.OPERATE, "draft the mapping of a file for `obu import`"),
     Row("GET", "/api/support", Right.ADMIN, "collect and download diagnostics"),
     Row("GET", "/api/set-up", Right.VIEW, "steps of the set-up, and what the newest drive has shown"),
+    Row("GET", "/api/set-up/certificate", Right.ADMIN, "make and download the certificate of the installation"),
+    Row("GET", "/api/set-up/qr.svg", Right.VIEW, "code that opens a centre's page Enrolment with the unit's name"),
     Row("POST", "/api/set-up", Right.OPERATE, "confirm a step, survey the newest drive"),
     Row("POST", "/api/page-error", Right.VIEW, "report an error of the page's program"),
     Row("GET", "/api/track", Right.VIEW, "track of the drive"),

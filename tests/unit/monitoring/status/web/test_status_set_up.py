@@ -6,8 +6,9 @@ from pathlib import Path
 
 import httpx
 import pytest
+from fastapi import HTTPException
 
-from services.monitoring.status.web.set_up import KEPT_FILE, RESULT_FILE, applied
+from services.monitoring.status.web.set_up import KEPT_FILE, RESULT_FILE, applied, drawn_code, enrolment_page
 from tests.support.cases import each
 from tests.support.dashboard.status_server import RunningServer, change, eventually, status_server
 
@@ -106,3 +107,43 @@ def test_a_working_unit_shows_its_devices_level_and_speeds(tmp_path: Path) -> No
         eventually(lambda: report(running)["signals"])
         signals = report(running)["signals"]
         assert isinstance(signals, list) and signals[0]["topic"] == "vehicle/wheel_speed"
+
+
+def test_a_code_holds_the_name_of_the_unit_and_no_secret() -> None:
+    assert enrolment_page("https://centre.example:8090/", "van-3") == "https://centre.example:8090/#/enrolment/van-3"
+    assert drawn_code("https://centre.example/#/enrolment/van-3").startswith(b"<?xml")
+
+
+@each(
+    ("centre", "name"),
+    [
+        ("http://centre.example", "van"), ("https://", "van"), ("https://a@b", "van"), ("https://a/x", "van"),
+        ("https://a?b=c", "van"), ("https://a#b", "van"), ("https://a:x", "van"), ("https://[", "van"), ("", "van"),
+        ("https://a", "my van"), ("https://a", "-van"), ("https://a", ""),
+    ],
+)  # fmt: skip
+def test_what_leads_to_no_centre_is_drawn_as_no_code(centre: str, name: str) -> None:
+    with pytest.raises(HTTPException) as refused:
+        enrolment_page(centre, name)
+    assert refused.value.status_code == 422
+
+
+def test_without_the_drive_that_was_surveyed_there_is_no_certificate(tmp_path: Path) -> None:
+    (tmp_path / "jobs").mkdir()
+    (tmp_path / "jobs" / RESULT_FILE).write_text(json.dumps({"recording": "../../etc/passwd", "findings": []}))
+    with status_server(tmp_path, unit=False) as running:
+        for form, status in (("pdf", 404), ("json", 404), ("exe", 422)):
+            assert httpx.get(f"{running.address}/api/set-up/certificate?form={form}").status_code == status
+
+
+def test_a_drive_that_cannot_be_read_gives_no_certificate_and_leaves_no_folder(tmp_path: Path) -> None:
+    (tmp_path / "recordings").mkdir()
+    name = "20260101T000000Z_car.mcap"
+    (tmp_path / "recordings" / name).write_bytes(b"no recording")
+    (tmp_path / "jobs").mkdir()
+    (tmp_path / "jobs" / RESULT_FILE).write_text(json.dumps({"recording": name, "findings": []}))
+    with status_server(tmp_path, unit=False) as running:
+        eventually(lambda: report(running)["survey"]["recording"] is not None)  # type: ignore[index]
+        answer = httpx.get(f"{running.address}/api/set-up/certificate", timeout=60)
+    assert answer.status_code == 500 and name in answer.json()["detail"]
+    assert not list((tmp_path / "jobs").glob("made-*"))

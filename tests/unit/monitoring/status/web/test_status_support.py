@@ -4,15 +4,15 @@ import asyncio
 import subprocess
 import threading
 import zipfile
-from collections.abc import MutableMapping
 from pathlib import Path
-from typing import Any
 
 import pytest
 from fastapi import HTTPException
 from fastapi.responses import FileResponse
 
+from services.monitoring.status.web import made_file
 from services.monitoring.status.web.access.tokens import Tokens
+from services.monitoring.status.web.made_file import MadeFiles, Making
 from services.monitoring.status.web.support import SupportApi
 
 
@@ -22,20 +22,20 @@ def api(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SupportApi:
     for name, value in (("OBU_VEHICLE", tmp_path / "vehicle.toml"), ("OBU_STATE", tmp_path)):
         monkeypatch.setenv(name, str(value))
     monkeypatch.setenv("OBU_BROKER", "mqtt://127.0.0.1:9")
-    return SupportApi(tmp_path / "jobs", Tokens(tmp_path))
+    return SupportApi(MadeFiles(tmp_path / "jobs"), Tokens(tmp_path))
 
 
-def sent(answer: FileResponse, method: str = "GET") -> None:
-    """Send an answer as a server does, to a client that takes it all."""
+def send(answer: FileResponse, method: str = "HEAD") -> None:
+    """Let it end as the server does, behind which its folder is deleted."""
 
-    async def receive() -> MutableMapping[str, Any]:
+    async def receive() -> dict[str, str]:
         await asyncio.Event().wait()  # the client stays
         return {"type": "http.disconnect"}
 
-    async def send(_message: MutableMapping[str, Any]) -> None:
-        return
+    async def sent(_message: object) -> None:
+        pass
 
-    asyncio.run(answer({"type": "http", "method": method, "headers": []}, receive, send))
+    asyncio.run(answer({"type": "http", "method": method, "headers": []}, receive, sent))
 
 
 def test_it_is_one_file_that_leaves_nothing_behind(api: SupportApi, tmp_path: Path) -> None:
@@ -43,7 +43,7 @@ def test_it_is_one_file_that_leaves_nothing_behind(api: SupportApi, tmp_path: Pa
     assert ".zip" in answer.headers["Content-Disposition"]
     with zipfile.ZipFile(answer.path) as archive:
         assert {"doctor.txt", "vehicle.toml", "health.json"} <= set(archive.namelist())
-    sent(answer)
+    send(answer)
     assert not list((tmp_path / "jobs").iterdir()) and not Tokens(tmp_path).content().tokens
 
 
@@ -65,13 +65,12 @@ def test_a_timeout_leaves_neither_a_file_nor_a_login(
 def test_two_at_once_are_one_too_many(api: SupportApi, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     begun, go_on = threading.Event(), threading.Event()
 
-    def collected(_folder: Path) -> Path:
+    def run(_making: Making, folder: Path) -> None:
         begun.set()
         go_on.wait()
-        (tmp_path / "x.zip").write_bytes(b"")
-        return tmp_path / "x.zip"
+        (folder / "made.zip").write_bytes(b"")
 
-    monkeypatch.setattr(api, "_collected", collected)
+    monkeypatch.setattr(made_file, "_run", run)
     answers: list[FileResponse] = []
     first = threading.Thread(target=lambda: answers.append(api.collect()))
     first.start()
@@ -81,8 +80,8 @@ def test_two_at_once_are_one_too_many(api: SupportApi, monkeypatch: pytest.Monke
     go_on.set()
     first.join()
     assert refused.value.status_code == 409
-    sent(answers[0], "HEAD")
-    assert not list((tmp_path / "jobs").iterdir())
+    send(answers[0], "GET")
+    assert not list((tmp_path / "jobs").iterdir()) and not Tokens(tmp_path).content().tokens
 
 
 def test_what_kept_it_from_collecting_is_said(api: SupportApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
