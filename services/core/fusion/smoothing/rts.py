@@ -68,6 +68,8 @@ class BackwardRecursion:
 
     def reset_parameter(self, place: int) -> None:
         """Propagate backwards over the replacement of a parameter."""
+        if not len(self.adjoint):
+            return
         self.adjoint, self.information = self.adjoint.copy(), self.information.copy()
         self.adjoint[place] = 0.0
         self.information[place] = self.information[:, place] = 0.0
@@ -130,8 +132,7 @@ def smoothed_filters(newest_first: Iterable[Record]) -> Iterator[ErrorStateFilte
             case CorrectionRecord():
                 back.correction(record.z, record.H, record.K, record.S_inverse)
             case ParameterReset():
-                if len(back.adjoint):
-                    back.reset_parameter(record.place)
+                back.reset_parameter(record.place)
             case UnitChange():
                 back.rescale(record.place, record.ratios, record.rows)
             case Start():

@@ -40,7 +40,7 @@ SATELLITES = {GPS_SUBFRAME: 32, GALILEO_PAGE: 36}
 
 
 class GnssLoggerDialect(Dialect):
-    """Fixes, raw measurements, navigation words of GPS and Galileo, and the bytes of the inertial sensors of a phone."""
+    """Fixes, raw measurements, navigation words, and the bytes of the inertial sensors of a phone."""
 
     name = "GnssLogger"
     positions = (frozenset(("Fix",)),)
