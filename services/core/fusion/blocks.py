@@ -6,6 +6,8 @@ A block states its standard deviation at the start of a filter and the density o
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+from shared.maths.earth import Geodetic
+
 from .settings import Settings
 
 MOST_STATES = 63  # a saved state has at most 2048 elements of a covariance
@@ -14,6 +16,10 @@ MOST_STATES = 63  # a saved state has at most 2048 elements of a covariance
 def _zero(_: Settings) -> float:
     """A value that is set elsewhere, or none."""
     return 0.0
+
+
+def _unknown(_settings: Settings, _position: Geodetic) -> tuple[float, float] | None:
+    return None
 
 
 def _always(_: Settings) -> bool:
@@ -36,6 +42,9 @@ class Block:
         [unit] Standard deviation at the start of a filter, by the settings; zero: not estimated, or set by the start.
     psd : callable
         [unit²/s] Density of the white noise that drives its random walk, by the settings.
+    known : callable
+        [unit] Value and standard deviation at the start of a filter at a position, by what the settings state; None:
+        zero, with `sd`.
     on : callable
         Whether the settings switch on the aid that has it: see `Layout.size_by`.
     """
@@ -45,6 +54,7 @@ class Block:
     unit: str
     sd: Callable[[Settings], float] = _zero
     psd: Callable[[Settings], float] = _zero
+    known: Callable[[Settings, Geodetic], tuple[float, float] | None] = _unknown
     on: Callable[[Settings], bool] = _always
 
 

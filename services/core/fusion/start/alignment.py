@@ -281,7 +281,13 @@ class Alignment:
         parameters = (*known[:begin], *first.error, *known[end:])
         imu = (self._lost.imu if self._lost else ImuErrors())._replace(accelerometer_bias=bias, gyroscope_bias=drift)
         errors = {**(self._lost.errors if self._lost else {}), POSITION: first.gnss_errors}
-        return ErrorStateFilter(settings, inertial, P, imu, parameters, errors)
+        made = ErrorStateFilter(settings, inertial, P, imu, parameters, errors)
+        if self._lost is None:
+            for block in LAYOUT.blocks_by(settings):
+                if stated := block.known(settings, position):
+                    for place in range(size)[LAYOUT.place(block.name)]:
+                        made.set_parameter(place, *stated)
+        return made
 
     def _first_place(self, fix: GnssPosition) -> FirstPlace:
         """Weighted mean of the fixes at standstill, or the newest fix on the move."""
