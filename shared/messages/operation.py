@@ -7,6 +7,7 @@ from pydantic import Field
 
 from .base import Bytes, Count, DeviceName, Integer, Message, Name, Nanoseconds, Quantity, Ratio, Reason, Seconds, unit
 from .explanation import Explanation
+from .power import LowReason
 
 MAX_KINDS = 64  # of messages of the devices of one process
 Incarnation = Annotated[Nanoseconds, unit("ns")]  # start of a process on the OBU time line
@@ -48,6 +49,7 @@ class ModeState(Message):
     sources: Annotated[tuple[Name, ...], Field(max_length=64)] = ()  # of all kinds that are received
     switches: Annotated[tuple[SourceSwitch, ...], Field(max_length=16)] = ()  # the newest of each kind, oldest first
     power_off: bool | None = None  # true: the battery is nearly empty; state is saved, recordings are closed
+    power_off_reason: LowReason | None = None  # of `power_off`
 
 
 class OperatorCommand(StrEnum):

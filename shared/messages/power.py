@@ -15,6 +15,14 @@ class PowerProtocol(StrEnum):
     SIGNAL = "signal"  # text of a file: 1 with mains, 0 without
 
 
+class LowReason(StrEnum):
+    """Why the battery counts as nearly empty."""
+
+    CHARGE = "charge"  # its share of charge
+    AUTONOMY = "autonomy"  # it lasts less than is wanted, by its own fall
+    TIME = "time"  # so long on a supply of which no voltage is known
+
+
 class PowerRaw(RawBytes):
     """One reading of a supply."""
 
@@ -32,6 +40,7 @@ class PowerState(Message):
     current_a: Quantity | None = None  # into the battery; negative while it discharges
     charge_ratio: Annotated[float, Field(ge=0.0, le=1.0), unit("1")] | None = None  # estimated from the voltage
     low: bool = False  # the unit should save its state and be switched off
+    low_reason: LowReason | None = None  # of `low`
     low_s: Seconds | None = None  # since the battery is below the threshold
     consumption_w: Annotated[float, Field(ge=0.0, le=1000.0), unit("W")] | None = None  # of the battery; None on mains
     autonomy_s: Seconds | None = None  # until the charge is low, by its fall since the mains were lost
@@ -45,4 +54,5 @@ class PowerEvent(Message):
     source: Name
     on_battery: bool
     low: bool
+    low_reason: LowReason | None = None  # of `low`
     reason: Reason

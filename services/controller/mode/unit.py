@@ -11,7 +11,7 @@ from shared.messages.gnss import FixType, GnssFix, GnssReceiver
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import NavigationSolution, NavigationState
 from shared.messages.operation import Mode, ModeState
-from shared.messages.power import PowerState
+from shared.messages.power import LowReason, PowerState
 from shared.messages.vehicle import VehicleSpeed
 from shared.protocols.registry import BY_NAME
 
@@ -35,6 +35,7 @@ class Decision(NamedTuple):
     sources: Chosen
     reason: str
     power_off: bool = False
+    power_off_reason: LowReason | None = None
 
 
 @dataclass(slots=True)
@@ -113,7 +114,8 @@ class Unit:
     def decided(self, facts: Facts) -> Decision:
         """Determine the mode and select the sources."""
         if reason := self.power_ends():
-            return Decision(Mode.SHUTTING_DOWN, self._chosen(), reason, power_off=True)
+            cause = self.power.low_reason if self.power is not None else None
+            return Decision(Mode.SHUTTING_DOWN, self._chosen(), reason, power_off=True, power_off_reason=cause)
         mode, reason = decide(facts)
         self.has_measured |= mode is Mode.MEASURING or facts.is_gnss_only
         return Decision(mode, self._chosen(), reason)
@@ -153,6 +155,7 @@ class Unit:
                 )
             ),
             power_off=decision.power_off or None,
+            power_off_reason=decision.power_off_reason,
         )
 
     def search_again(self) -> None:

@@ -6,6 +6,8 @@ A block states its standard deviation at the start of a filter and the density o
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+from shared.maths.earth import Geodetic
+
 from .settings import Settings
 
 MOST_STATES = 63  # a saved state has at most 2048 elements of a covariance
@@ -14,6 +16,14 @@ MOST_STATES = 63  # a saved state has at most 2048 elements of a covariance
 def _zero(_: Settings) -> float:
     """A value that is set elsewhere, or none."""
     return 0.0
+
+
+def _unknown(_settings: Settings, _position: Geodetic) -> tuple[float, float] | None:
+    return None
+
+
+def _always(_: Settings) -> bool:
+    return True
 
 
 @dataclass(frozen=True)
@@ -32,6 +42,11 @@ class Block:
         [unit] Standard deviation at the start of a filter, by the settings; zero: not estimated, or set by the start.
     psd : callable
         [unit²/s] Density of the white noise that drives its random walk, by the settings.
+    known : callable
+        [unit] Value and standard deviation at the start of a filter at a position, by what the settings state; None:
+        zero, with `sd`.
+    on : callable
+        Whether the settings switch on the aid that has it: see `Layout.size_by`.
     """
 
     name: str
@@ -39,6 +54,8 @@ class Block:
     unit: str
     sd: Callable[[Settings], float] = _zero
     psd: Callable[[Settings], float] = _zero
+    known: Callable[[Settings, Geodetic], tuple[float, float] | None] = _unknown
+    on: Callable[[Settings], bool] = _always
 
 
 class Layout:
@@ -82,7 +99,21 @@ class Layout:
         """Block of a name, which must be there."""
         return next(block for block in self.blocks if block.name == name)
 
-    @property
-    def text(self) -> str:
+    def blocks_by(self, settings: Settings) -> tuple[Block, ...]:
+        """Blocks of which a filter with these settings is made: all but the last ones, of aids that are off.
+
+        What stands last can be left out without moving another block. So off equals, bit for bit and in time, a unit
+        without that aid, and every place is a constant of compiled code.
+        """
+        count = len(self.blocks)
+        while count and not self.blocks[count - 1].on(settings):
+            count -= 1
+        return self.blocks[:count]
+
+    def size_by(self, settings: Settings) -> int:
+        """Number of states of a filter with these settings."""
+        return sum(block.size for block in self.blocks_by(settings))
+
+    def text_by(self, settings: Settings) -> str:
         """Names, sizes and units, for the fingerprint of a saved state."""
-        return "; ".join(f"{block.name} {block.size} {block.unit}" for block in self.blocks)
+        return "; ".join(f"{block.name} {block.size} {block.unit}" for block in self.blocks_by(settings))

@@ -192,7 +192,7 @@ class Navigator:
 
     def restore(self, saved: SavedState, time_ns: int) -> None:
         """Restore the state of an earlier process, if it is valid at the stamp of the first sample."""
-        if reason := fault(saved, time_ns):
+        if reason := fault(saved, self.settings, time_ns):
             self.rejects[reason] += 1
         else:
             self._timeline.restore(saved)

@@ -1,7 +1,8 @@
 """The states of the filter, assembled of blocks when this module is imported.
 
 The first blocks are those of inertial navigation. Behind them stands what the aids estimate beside it: a scale, an
-offset, a correlated error. An aid finds its own by name, and no place is a number anywhere else.
+offset, a correlated error. An aid finds its own by name, and no place is a number anywhere else. Those that stand last
+are left out of a filter whose settings do not switch their aid on.
 
 A package that is installed beside the unit may bring further blocks (`aids/kinds.py`): an entry point of the group
 `obu.aid_states` is a module with a tuple `BLOCKS`.
@@ -27,7 +28,8 @@ INERTIAL = (
     Block("accelerometer_scale", 3, "-", sd=lambda s: s.imu.accelerometer_scale_sd),
     Block("gyroscope_scale", 3, "-", sd=lambda s: s.imu.gyroscope_scale_sd),
 )
-AIDS = (*ODOMETER, *NON_HOLONOMIC, *POSITION_BLOCKS, *BAROMETER, *VELOCITY_BLOCKS, *CARRIER)
+AIDS = (*ODOMETER, *NON_HOLONOMIC, *POSITION_BLOCKS, *BAROMETER, *VELOCITY_BLOCKS)
+LEFT_OUT_WHEN_OFF = (*CARRIER,)  # behind all others: see `Layout.blocks_by`
 
 
 def external_blocks() -> tuple[Block, ...]:
@@ -35,4 +37,4 @@ def external_blocks() -> tuple[Block, ...]:
     return tuple(block for module in brought(AID_STATES) for block in cast(Any, module).BLOCKS)
 
 
-LAYOUT = Layout((*INERTIAL, *AIDS, *external_blocks()))
+LAYOUT = Layout((*INERTIAL, *AIDS, *external_blocks(), *LEFT_OUT_WHEN_OFF))

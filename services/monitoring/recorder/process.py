@@ -2,6 +2,7 @@
 
 import logging
 import time
+from collections.abc import Mapping
 
 from pydantic import Field
 
@@ -9,6 +10,7 @@ from shared.bus.bus import Bus, Envelope, decoded
 from shared.evidence import KeyFile, keys_folder
 from shared.messages.explanation import QUOTED_LENGTH, Explanation, QuotedText, explain
 from shared.messages.operation import ModeState, RecordingState
+from shared.messages.power import LowReason
 from shared.processes import Role
 from shared.recording.folder import RecordingFolder
 from shared.recording.writer import Opener, open_new
@@ -57,6 +59,13 @@ class Config(Section):
         description="lasting rate of a topic, and half of that of a process, above which its messages are left out; an "
         "eighth of `maximum_total_bytes` may come at once. Uncompressed",
     )
+
+
+POWER_ENDS: Mapping[LowReason | None, Code] = {
+    LowReason.CHARGE: Code.CHARGE_ENDS,
+    LowReason.AUTONOMY: Code.AUTONOMY_ENDS,
+    LowReason.TIME: Code.BATTERY_TIME_ENDS,
+}
 
 
 class Process:
@@ -119,7 +128,7 @@ class Process:
                     self._folder.close_on_disk()
                 except OSError as error:
                     log.warning("left a recording that may not be on the disk: %s", error.strerror)
-                self._stop(explain(Code.POWER_ENDS), bus.now_ns())
+                self._stop(explain(POWER_ENDS.get(mode.power_off_reason, Code.POWER_ENDS)), bus.now_ns())
             else:
                 self._retry_ns = 0
 

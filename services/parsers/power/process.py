@@ -8,7 +8,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from shared.messages.base import Message, Tick
-from shared.messages.power import PowerEvent, PowerRaw, PowerState
+from shared.messages.power import LowReason, PowerEvent, PowerRaw, PowerState
 from shared.runtime.config import Section
 
 from .battery import NS, Autonomy, Decoder, Limits, LowBattery, Reading, SteadySupply, is_short
@@ -125,7 +125,7 @@ class Process:
         if self._is_low is not was_low or (changed and (reading.on_battery or not first)):
             yield PowerEvent(
                 sampled_ns=raw.received_ns, source=raw.source, on_battery=reading.on_battery, low=self._is_low,
-                reason=self._text(reading),
+                low_reason=self._low_reason(reading), reason=self._text(reading),
             )  # fmt: skip
 
     def _state(self, now_ns: int) -> PowerState:
@@ -135,14 +135,24 @@ class Process:
         return PowerState(
             sampled_ns=now_ns, source=self._source or "", on_battery=reading.on_battery, since_ns=self._supply.since_ns,
             voltage_v=reading.voltage_v, current_a=reading.current_a, charge_ratio=reading.charge_ratio,
-            low=self._is_low, low_s=self._low.below_s(), reason=self._text(reading),
+            low=self._is_low, low_reason=self._low_reason(reading), low_s=self._low.below_s(),
+            reason=self._text(reading),
             consumption_w=_consumption_w(reading), autonomy_s=self._left_s,
         )  # fmt: skip
+
+    def _low_reason(self, reading: Reading) -> LowReason | None:
+        """Why the battery counts as nearly empty; None while it does not. Its share of charge comes first."""
+        charge = reading.charge_ratio
+        if not self._is_low:
+            return None
+        if charge is None:
+            return LowReason.TIME
+        return LowReason.AUTONOMY if self._short and charge > self._config.low_charge_ratio else LowReason.CHARGE
 
     def _text(self, reading: Reading) -> str:
         charge = reading.charge_ratio
         left = "" if charge is None else f", about {charge:.0%} left"
-        if self._is_low and self._short and charge is not None and charge > self._config.low_charge_ratio:
+        if self._low_reason(reading) is LowReason.AUTONOMY:
             return f"battery lasts less than the {self._config.low_autonomy_s:.0f} s of low_autonomy_s{left}"
         if self._is_low:
             return f"battery nearly empty{left}"

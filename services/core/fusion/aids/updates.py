@@ -122,7 +122,7 @@ def observation(
         z, H, R, unsure = speed_observation(axle_of(row, model), row, reading, model.odometer)
     else:
         z, H, R = NO_OBSERVATION
-    return np.ascontiguousarray(z), np.ascontiguousarray(H), np.ascontiguousarray(R), unsure
+    return np.ascontiguousarray(z), em.fitting(H, row.P), np.ascontiguousarray(R), unsure
 
 
 @inlined

@@ -37,7 +37,7 @@ GYROSCOPE_BIAS = LAYOUT.place("gyroscope_bias")  # [rad/s, body]
 ACCELEROMETER_SCALE = LAYOUT.place("accelerometer_scale")  # [-]
 GYROSCOPE_SCALE = LAYOUT.place("gyroscope_scale")  # [-]
 SCALES = slice(ACCELEROMETER_SCALE.start, GYROSCOPE_SCALE.stop)  # accelerometers and gyroscopes
-SIZE = LAYOUT.size
+SIZE = LAYOUT.size  # with all aids; a filter has those that its settings switch on, `Layout.size_by`
 MOVING = POSITION.stop  # number of states whose derivative F gives: attitude, velocity, position
 DRIVING = SCALES.stop  # number of states on which that derivative depends: these and the errors of the IMU
 PARAMETERS = slice(DRIVING, SIZE)  # of the aiding sensors
@@ -71,8 +71,8 @@ def system_matrix(
 
     Returns
     -------
-    ndarray, shape (37, 37)
-        [1/s and mixed]
+    ndarray, shape (9, 21)
+        [1/s and mixed] The rows and columns of F that are not zero.
 
     Notes
     -----
@@ -109,7 +109,7 @@ def system_matrix(
     cn_by_north, cd_by_north = 2.0 * ed * m, (td_by_latitude - 2.0 * en) * m
     cn_by_down, ce_by_down, cd_by_down = tn * t, te * m, td * t
 
-    F = np.zeros((SIZE, SIZE))
+    F = np.zeros((MOVING, DRIVING))
     # -sk(w_ie + w_en)
     put(F, ATTITUDE, ATTITUDE, ((0.0, wd, -we), (-wd, 0.0, wn), (we, -wn, 0.0)))
     # -D_v w_en
@@ -180,13 +180,13 @@ def system_matrix(
 
 
 def transition_matrix(Ft: FloatArray, decay: FloatArray) -> FloatArray:
-    """Transition matrix Phi, shape (37, 37), of a short step: I + F t, but for time-correlated errors, which decay.
+    """Transition matrix Phi, shape (n, n), of a short step: I + F t, but for time-correlated errors, which decay.
 
     Parameters
     ----------
     Ft : ndarray, shape (9, 21)
         Nonzero block of F t.
-    decay : ndarray, shape (37,)
+    decay : ndarray, shape (n,)
         [-] exp(-t/T) of each error, exact for any step where no other error acts on it; 1 of one that does not decay.
     """
     Phi = np.diag(decay)
@@ -200,16 +200,16 @@ def predicted(P: FloatArray, Ft: FloatArray, decay: FloatArray, Q: FloatArray) -
 
     Parameters
     ----------
-    P : ndarray, shape (37, 37)
+    P : ndarray, shape (n, n)
         Covariance before.
     Ft, decay
         Of `transition_matrix`.
-    Q : ndarray, shape (37,)
+    Q : ndarray, shape (n,)
         Diagonal of the covariance of the noise.
 
     Returns
     -------
-    ndarray, shape (37, 37)
+    ndarray, shape (n, n)
         Exactly symmetric.
     """
     after = P.copy()
@@ -219,6 +219,12 @@ def predicted(P: FloatArray, Ft: FloatArray, decay: FloatArray, Q: FloatArray) -
     symmetric: FloatArray = 0.5 * (after + after.T)
     symmetric += np.diag(Q)
     return symmetric
+
+
+@compilable
+def fitting(H: FloatArray, P: FloatArray) -> FloatArray:
+    """Columns of a matrix H, of shape (m, `SIZE`) as aids make it or (m, n), of the states of P, shape (n, n)."""
+    return np.ascontiguousarray(H[:, : len(P)])
 
 
 def process_noise_psd(*densities: tuple[int | slice | npt.NDArray[np.intp], float]) -> FloatArray:
@@ -232,7 +238,7 @@ def process_noise_psd(*densities: tuple[int | slice | npt.NDArray[np.intp], floa
 
     Returns
     -------
-    ndarray, shape (37,)
+    ndarray, shape (n,)
         Diagonal of the matrix; times a short step it is the covariance that the step adds.
 
     References
@@ -248,9 +254,9 @@ def process_noise_psd(*densities: tuple[int | slice | npt.NDArray[np.intp], floa
 class ProcessNoise(NamedTuple):
     """Noise that drives the errors of one filter."""
 
-    psd: FloatArray  # [unit²/s] shape (37,): see `process_noise_psd`
-    correlation_s: FloatArray  # [s] shape (37,), time T of each Gauss-Markov process; infinite of all other errors
-    variance: FloatArray  # [unit²] shape (37,), s² of each Gauss-Markov process; zero of all other errors
+    psd: FloatArray  # [unit²/s] shape (n,): see `process_noise_psd`
+    correlation_s: FloatArray  # [s] shape (n,), time T of each Gauss-Markov process; infinite of all other errors
+    variance: FloatArray  # [unit²] shape (n,), s² of each Gauss-Markov process; zero of all other errors
     vibration_factor: float  # [-] on the measured vibration PSD
 
 
@@ -272,7 +278,7 @@ def process_noise(
     Returns
     -------
     tuple of ndarray
-        [unit²], shape (37,); [-], shape (31,).
+        [unit²], shape (n,); [-], shape (n,).
 
     Notes
     -----
@@ -309,7 +315,7 @@ def propagated(  # noqa: PLR0913, PLR0917  # compiled code takes numbers and arr
 
     Parameters
     ----------
-    P : ndarray, shape (37, 37)
+    P : ndarray, shape (n, n)
         Covariance before.
     quaternion, velocity, position, earth
         At the end of the step: see `system_matrix`.
@@ -321,11 +327,11 @@ def propagated(  # noqa: PLR0913, PLR0917  # compiled code takes numbers and arr
     Returns
     -------
     tuple of ndarray
-        P, shape (37, 37), the block F t, shape (9, 21), and the decays, shape (37,).
+        P, shape (n, n), the block F t, shape (9, 21), and the decays, shape (n,).
     """
     (vn, ve, vd), (rx, ry, rz), per_s = velocity_gain_n, rotation_b, 1.0 / step_s
     force_n, rate_b = (vn * per_s, ve * per_s, vd * per_s), (rx * per_s, ry * per_s, rz * per_s)
     F = system_matrix(quaternion, velocity, position, earth, force_n, rate_b)
-    Ft = F[:MOVING, :DRIVING] * step_s
+    Ft = F * step_s
     Q, decay = process_noise(noise, attitude_psd, velocity_psd, step_s)
     return predicted(P, Ft, decay, Q), Ft, decay

@@ -50,7 +50,6 @@ FloatArray = npt.NDArray[np.float64]
 SCATTER = 0.25  # [-] of delays that are found
 UNCERTAIN_SHARE = 0.5  # [-] of the way in a delay that has just been found
 NO_ERRORS = ImuErrors()
-NO_PARAMETERS = (0.0,) * (em.SIZE - em.DRIVING)
 
 
 class CorrelatedErrors(Protocol):
@@ -103,7 +102,7 @@ class FixDelay(NamedTuple):
 
 
 class ErrorStateFilter:
-    """The state, and the covariance of its 37 errors; estimated errors are subtracted from the state at once.
+    """The state, and the covariance of its errors; estimated errors are subtracted from the state at once.
 
     A state that is not estimated has neither variance nor noise, and keeps its value. Nothing is changed in place, so
     that `copy.copy` gives an independent filter.
@@ -114,12 +113,12 @@ class ErrorStateFilter:
         Noise densities and initial standard deviations.
     inertial : InertialState
         Attitude, velocity and position at the start.
-    P : ndarray, shape (37, 37)
-        Covariance at the start, in the order of `error_model`.
+    P : ndarray, shape (n, n)
+        Covariance at the start, in the order of `error_model`: n is `Layout.size_by` of the settings.
     imu : ImuErrors
         Estimated biases and scale factors at the start.
     parameters : tuple of float
-        Parameters of the aiding sensors at the start, in the order of `error_model.PARAMETERS`.
+        Parameters of the aiding sensors at the start, in the order of `error_model.PARAMETERS`; None: all zero.
     errors : mapping of str to CorrelatedErrors
         Statistics of time-correlated errors, by the name of their block.
     """
@@ -130,13 +129,13 @@ class ErrorStateFilter:
         inertial: InertialState,
         P: FloatArray,
         imu: ImuErrors = NO_ERRORS,
-        parameters: tuple[float, ...] = NO_PARAMETERS,
+        parameters: tuple[float, ...] | None = None,
         errors: Mapping[str, CorrelatedErrors] = NO_ERRORS_KNOWN,
     ) -> None:
         self.state = initial_state(inertial, ZERO, ZERO)
         self.P = P
         self.imu = imu
-        self.parameters = parameters
+        self.parameters = (0.0,) * (len(P) - em.DRIVING) if parameters is None else parameters
         self.errors = errors  # replaced and never changed in place
         self.position_correction: Vector = ZERO  # [m, NED] sum of all corrections
         self.late: FixDelay | None = None  # fixes that seem to be older than their stamps
@@ -144,8 +143,14 @@ class ErrorStateFilter:
         self._settings = settings
         self._has_sample = False
         self._values: tuple[tuple[object, ...], FloatArray] | None = None  # of `numbers`, and what they are made of
-        self._psd = em.process_noise_psd(*((LAYOUT.place(b.name), b.psd(settings)) for b in LAYOUT.blocks))
+        densities = ((LAYOUT.place(b.name), b.psd(settings)) for b in LAYOUT.blocks)
+        self._psd = em.process_noise_psd(*densities)[: len(P)]
         self._noise: tuple[object, list[bool], em.ProcessNoise] | None = None  # of `noise`, and what it is made of
+
+    @property
+    def size(self) -> int:
+        """Number of states."""
+        return em.DRIVING + len(self.parameters)
 
     def unrecorded(self) -> "ErrorStateFilter":
         """Independent copy without a history for the smoother."""
@@ -183,7 +188,7 @@ class ErrorStateFilter:
         places = [LAYOUT.place(name) for name in self.errors]
         estimated = [float(self.P[place.start, place.start]) > 0.0 for place in places]
         if self._noise is None or self._noise[0] is not self.errors or self._noise[1] != estimated:
-            correlation_s, variance = np.full(em.SIZE, inf), np.zeros(em.SIZE)
+            correlation_s, variance = np.full(self.size, inf), np.zeros(self.size)
             for place, errors, is_estimated in zip(places, self.errors.values(), estimated, strict=True):
                 correlation_s[place], variance[place] = errors.correlation_s, errors.stationary(is_estimated)
             made = em.ProcessNoise(self._psd, correlation_s, variance, self._settings.imu.vibration_factor)
@@ -377,9 +382,12 @@ class ErrorStateFilter:
             self.recorder.record_reset(self.time_ns, place)
 
     def innovate(self, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
-        """Compute the correction by a measurement z = H x + noise of covariance R; the state is not changed."""
+        """Compute the correction by a measurement z = H x + noise of covariance R; the state is not changed.
+
+        H may have columns of all states, as aids make it: those of states that are left out are not used.
+        """
         self.propagate_covariance()
-        return correct(self.P, z, H, R)
+        return correct(self.P, z, em.fitting(H, self.P), R)
 
     def apply(self, correction: Correction) -> None:
         """Subtract the estimated errors from the state, after which their estimate is zero."""
@@ -388,7 +396,7 @@ class ErrorStateFilter:
             self.recorder.record_correction(self.time_ns, correction)
 
     def subtract_errors(self, errors: FloatArray, P: FloatArray) -> None:
-        """Subtract errors x, shape (37,), from the state, true = estimated - x, and set the covariance P after it."""
+        """Subtract errors x, shape (n,), from the state, true = estimated - x, and set the covariance P after it."""
         self.take(subtracted(self.row, errors, P))
         self._check()
 

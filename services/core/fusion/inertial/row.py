@@ -51,9 +51,9 @@ class Row(NamedTuple):
     """State of one filter, and the covariance of its errors."""
 
     state: State
-    P: FloatArray  # shape (37, 37), in the order of `error_model`
+    P: FloatArray  # shape (n, n), in the order of `error_model`
     imu: ImuErrors
-    parameters: FloatArray  # shape (10,), of the aiding sensors, in the order of `error_model.PARAMETERS`
+    parameters: FloatArray  # shape (n - 21,), of the aiding sensors, in the order of `error_model.PARAMETERS`
     position_correction: Vector  # [m, NED] sum of all corrections
 
 
@@ -83,7 +83,7 @@ def step_of(row: Row, noise: em.ProcessNoise) -> tuple[Row, FloatArray, FloatArr
     Returns
     -------
     tuple
-        The row, the block F t, shape (9, 21), and the decays of the errors, shape (37,).
+        The row, the block F t, shape (9, 21), and the decays of the errors, shape (n,).
     """
     state = row.state
     P, Ft, decay = em.propagated(
@@ -118,7 +118,7 @@ def mean_rate(state: State) -> tuple[Vector, float]:
 
 @compilable
 def subtracted(row: Row, x: FloatArray, P: FloatArray) -> Row:
-    """Row after the errors x, shape (37,), were subtracted, true = estimated - x, with the covariance P after it."""
+    """Row after the errors x, shape (n,), were subtracted, true = estimated - x, with the covariance P after it."""
     state, imu = row.state, row.imu
     bias = vector_of(x, em.GYROSCOPE_BIAS)
     (a, b, c), (u, v, w) = vector_of(x, em.ATTITUDE), vector_of(x, em.VELOCITY)
@@ -160,7 +160,7 @@ def subtracted(row: Row, x: FloatArray, P: FloatArray) -> Row:
 @compilable
 def fault_of(row: Row) -> int:
     """Fault of a row: P is not finite with positive variances, or the state is implausible; 0 without one."""
-    variances = np.ascontiguousarray(row.P.reshape(-1)[:: em.SIZE + 1])  # the diagonal
+    variances = np.ascontiguousarray(row.P.reshape(-1)[:: len(row.P) + 1])  # the diagonal
     if not (isfinite(variances @ variances) and variances[: em.ACCELEROMETER_SCALE.start].min() > 0.0):
         return Fault.COVARIANCE.value
     return implausible(row.state)

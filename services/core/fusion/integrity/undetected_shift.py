@@ -45,7 +45,7 @@ class UndetectedShift:
         ----------
         outcome : Outcome
             Of the measurement.
-        before, now : ndarray, shape (37, 37)
+        before, now : ndarray, shape (n, n)
             Covariance of the filter before and after it.
         gate : tuple of float
             False-alarm probability of the gate, and the multiple of its limit up to which a measurement is used.

@@ -31,11 +31,11 @@ class Step(NamedTuple):
 
     time_ns: int  # end of the step
     Ft: FloatArray  # nonzero block of F t, shape (9, 21)
-    decay: FloatArray  # diagonal of Phi but for that block, shape (37,)
+    decay: FloatArray  # diagonal of Phi but for that block, shape (n,)
 
     @property
     def transition(self) -> FloatArray:
-        """Matrix Phi, shape (37, 37)."""
+        """Matrix Phi, shape (n, n)."""
         return em.transition_matrix(self.Ft, self.decay)
 
 

@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from shared.errors import FilterDiverged
 
-from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
 from .history import CorrectionRecord, Knot, ParameterReset, Record, Start, Step, UnitChange
 
@@ -69,6 +68,8 @@ class BackwardRecursion:
 
     def reset_parameter(self, place: int) -> None:
         """Propagate backwards over the replacement of a parameter."""
+        if not len(self.adjoint):
+            return
         self.adjoint, self.information = self.adjoint.copy(), self.information.copy()
         self.adjoint[place] = 0.0
         self.information[place] = self.information[:, place] = 0.0
@@ -113,7 +114,7 @@ def smoothed_filters(newest_first: Iterable[Record]) -> Iterator[ErrorStateFilte
     Parameters
     ----------
     newest_first : iterable of Record
-        The whole history, newest first.
+        The whole history, newest first; all its filters have the same states.
 
     Returns
     -------
@@ -121,8 +122,10 @@ def smoothed_filters(newest_first: Iterable[Record]) -> Iterator[ErrorStateFilte
         Smoothed state and covariance of each knot, newest first; knots at which the correction of a diverged filter
         is beyond its limits are left out.
     """
-    back = BackwardRecursion(em.SIZE)
+    back = BackwardRecursion(0)
     for record in newest_first:
+        if not len(back.adjoint):  # nothing is known yet: what is zero, stays so
+            back = BackwardRecursion(_size_of(record))
         match record:
             case Step():
                 back.step(record.transition)
@@ -133,16 +136,31 @@ def smoothed_filters(newest_first: Iterable[Record]) -> Iterator[ErrorStateFilte
             case UnitChange():
                 back.rescale(record.place, record.ratios, record.rows)
             case Start():
-                back = BackwardRecursion(em.SIZE)
+                back = BackwardRecursion(0)
             case Knot():
                 state = _smoothed(record, back)
                 if state is not None:
                     yield state
 
 
+def _size_of(record: Record) -> int:
+    """Number of states of the filter of a record, or zero where the record does not show it."""
+    match record:
+        case Step():
+            return len(record.decay)
+        case CorrectionRecord():
+            return record.H.shape[1]
+        case UnitChange():
+            return record.rows.shape[1]
+        case Knot():
+            return record.filter.size
+        case _:
+            return 0
+
+
 def _smoothed(knot: Knot, back: BackwardRecursion) -> ErrorStateFilter | None:
     """Subtract the smoothed errors from the state of a knot."""
-    P = np.zeros((em.SIZE, em.SIZE))
+    P = np.zeros_like(back.information)
     P[np.ix_(knot.known, knot.known)] = knot.filter.P
     errors, covariance = back.smoothed(P)
     smoothed = copy(knot.filter)

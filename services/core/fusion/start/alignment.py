@@ -19,7 +19,7 @@ from ..aids.gnss.correlated import GNSS_ERROR, POSITION, position_errors_at_star
 from ..aids.gnss.fix import GnssPosition, GnssVelocity
 from ..codes import Code, HeadingMethod
 from ..inertial import error_model as em
-from ..inertial.filter import NO_PARAMETERS, ErrorStateFilter
+from ..inertial.filter import ErrorStateFilter
 from ..inertial.propagation import ImuErrors
 from ..inertial.standstill import STANDSTILL_RATE_SD
 from ..settings import Settings
@@ -254,7 +254,8 @@ class Alignment:
         drift, drift_cov = self._gyroscope_bias(north_from_level, position.latitude)
         tilt2 = self.levelling.tilt_sd**2 + float(bias_cov[0, 0]) / STANDARD_GRAVITY**2
 
-        P = np.zeros((em.SIZE, em.SIZE))
+        size = LAYOUT.size_by(settings)
+        P = np.zeros((size, size))
         P[em.ATTITUDE, em.ATTITUDE] = np.diag([tilt2, tilt2, heading.sd**2])
         P[em.VELOCITY, em.VELOCITY] = np.diag(np.square(motion.sd)) + (ARM_RATE_SD * hypot(*arm)) ** 2 * np.eye(3)
         P[em.ACCELEROMETER_BIAS, em.ACCELEROMETER_BIAS] = bias_cov
@@ -275,12 +276,18 @@ class Alignment:
         P[em.POSITION, GNSS_ERROR] = first.cross_cov
         P[GNSS_ERROR, em.POSITION] = first.cross_cov.T
         inertial = InertialState(fix.time_ns, quaternion, velocity, position)
-        known = self._lost.parameters if self._lost else NO_PARAMETERS
+        known = self._lost.parameters if self._lost else (0.0,) * (size - em.DRIVING)
         begin, end = GNSS_ERROR.start - em.DRIVING, GNSS_ERROR.stop - em.DRIVING
         parameters = (*known[:begin], *first.error, *known[end:])
         imu = (self._lost.imu if self._lost else ImuErrors())._replace(accelerometer_bias=bias, gyroscope_bias=drift)
         errors = {**(self._lost.errors if self._lost else {}), POSITION: first.gnss_errors}
-        return ErrorStateFilter(settings, inertial, P, imu, parameters, errors)
+        made = ErrorStateFilter(settings, inertial, P, imu, parameters, errors)
+        if self._lost is None:
+            for block in LAYOUT.blocks_by(settings):
+                if stated := block.known(settings, position):
+                    for place in range(size)[LAYOUT.place(block.name)]:
+                        made.set_parameter(place, *stated)
+        return made
 
     def _first_place(self, fix: GnssPosition) -> FirstPlace:
         """Weighted mean of the fixes at standstill, or the newest fix on the move."""
@@ -302,7 +309,9 @@ class Alignment:
     def _parameters_cov(self) -> FloatArray:
         if self._lost is not None:
             return self._lost.P[em.PARAMETERS, em.PARAMETERS]
-        sd = np.concatenate([np.full(block.size, block.sd(self._settings)) for block in LAYOUT.blocks])
+        sd = np.concatenate(
+            [np.full(block.size, block.sd(self._settings)) for block in LAYOUT.blocks_by(self._settings)]
+        )
         return np.diag(np.square(sd[em.PARAMETERS]))
 
     def _accelerometer_bias(self) -> tuple[Vector, FloatArray]:

@@ -20,7 +20,7 @@ from shared.maths.rotation import Vector
 
 from ..aids.gnss.correlated import GNSS_ERROR, POSITION, position_errors_at_start, position_errors_of
 from ..inertial import error_model as em
-from ..inertial.filter import NO_PARAMETERS, ErrorStateFilter
+from ..inertial.filter import ErrorStateFilter
 from ..inertial.imu_faults import Sample, credible, mean
 from ..inertial.propagation import ZERO, ImuErrors, Intervals, initial_state, samples_of
 from ..inertial.row import implausible
@@ -42,7 +42,6 @@ JERK_PSD = np.diag([1.0, 1.0, 0.03])  # [m²/s⁵, NED]
 RATE_VARIANCE = 0.02**2  # [rad²/s²] about the vertical
 TILT_VARIANCE = 0.01**2  # [rad²/s²] about the horizontal axes, whose rate is not used
 FORCE_VARIANCE = np.diag(np.square([0.5, 0.5, 0.5]))  # [m²/s⁴, NED]
-UPPER = np.triu_indices(em.SIZE)
 MAX_VALUE = 1e12  # [mixed] largest valid variance
 
 
@@ -64,7 +63,7 @@ class SavedState(NamedTuple):
 
 def fingerprint(settings: Settings) -> str:
     """Hash of the settings and the layout; a saved state is used only if both are the same."""
-    text = f"{VERSION} {LAYOUT.text} {settings.model_dump_json()}"
+    text = f"{VERSION} {LAYOUT.text_by(settings)} {settings.model_dump_json()}"
     return sha256(text.encode()).hexdigest()[:16]
 
 
@@ -76,7 +75,7 @@ def saved_state(
     held: Disagreement = NO_DISAGREEMENT,
 ) -> SavedState:
     """State of a filter, whose covariance is of its time, for saving."""
-    units = np.ones(em.SIZE)
+    units = np.ones(navigation.size)
     units[GNSS_ERROR] = position_errors_of(navigation).unit
     return SavedState(
         inertial=navigation.inertial,
@@ -86,19 +85,20 @@ def saved_state(
         gyroscope_scale=navigation.imu.gyroscope_scale,
         parameters=tuple((np.array(navigation.parameters) * units[em.PARAMETERS]).tolist()),
         sample=(sample.force, sample.rate),
-        covariance=tuple((navigation.P * np.outer(units, units))[UPPER].tolist()),
+        covariance=tuple((navigation.P * np.outer(units, units))[np.triu_indices(navigation.size)].tolist()),
         accepted_ns=accepted_ns,
         gnss_excluded_since_ns=gnss_excluded_since_ns,
         held=held,
     )
 
 
-def fault(saved: SavedState, time_ns: int) -> str | None:
+def fault(saved: SavedState, settings: Settings, time_ns: int) -> str | None:
     """Reason why a saved state cannot be used at the stamp of the first sample; None if it can."""
+    size = LAYOUT.size_by(settings)
     gap_s = (time_ns - saved.inertial.time_ns) * 1e-9
     if not 0.0 < gap_s <= MAX_GAP_S:
         return "saved state too old" if gap_s > 0.0 else "saved state from the future"
-    if (len(saved.parameters), len(saved.covariance)) != (len(NO_PARAMETERS), len(UPPER[0])):
+    if (len(saved.parameters), len(saved.covariance)) != (size - em.DRIVING, size * (size + 1) // 2):
         return "saved state of another layout"
     w, x, y, z = saved.inertial.quaternion
     unit = abs(w * w + x * x + y * y + z * z - 1.0) < 1e-6
@@ -108,9 +108,10 @@ def fault(saved: SavedState, time_ns: int) -> str | None:
 
 
 def covariance_of(saved: SavedState) -> FloatArray:
-    """Covariance of a saved state, shape (37, 37)."""
-    P = np.zeros((em.SIZE, em.SIZE))
-    P[UPPER] = saved.covariance
+    """Covariance of a saved state, shape (n, n)."""
+    size = em.DRIVING + len(saved.parameters)
+    P = np.zeros((size, size))
+    P[np.triu_indices(size)] = saved.covariance
     return P + np.triu(P, 1).T
 
 
@@ -153,7 +154,7 @@ def restored(settings: Settings, saved: SavedState, sample: Sample) -> ErrorStat
         The state after the gap is implausible.
     """
     gnss_errors = position_errors_at_start(settings)
-    units = np.ones(em.SIZE)
+    units = np.ones(LAYOUT.size_by(settings))
     units[GNSS_ERROR] = gnss_errors.unit
     navigation = ErrorStateFilter(
         settings,
@@ -176,12 +177,15 @@ def restored(settings: Settings, saved: SavedState, sample: Sample) -> ErrorStat
     navigation.state = navigation.state._replace(
         quiet=UNSETTLED, standstill_s=0.0, standstill_rotation_b=ZERO, since_non_holonomic_s=0.0
     )
-    navigation.P = navigation.P + unmeasured_motion(navigation.velocity, gap_ns * 1e-9)
+    moving = slice(0, em.MOVING)
+    P = navigation.P.copy()
+    P[moving, moving] += unmeasured_motion(navigation.velocity, gap_ns * 1e-9)
+    navigation.P = P
     return navigation
 
 
 def unmeasured_motion(velocity: Vector, span_s: float) -> FloatArray:
-    """Covariance added over a time [s] without samples, shape (37, 37).
+    """Covariance added over a time [s] without samples, to that of attitude, velocity and position, shape (9, 9).
 
     Notes
     -----
@@ -195,7 +199,7 @@ def unmeasured_motion(velocity: Vector, span_s: float) -> FloatArray:
     north, east, _ = velocity
     g, T, yaw = np.array([-east, north, 0.0]), span_s, em.ATTITUDE.stop - 1
     moving = slice(em.VELOCITY.start, em.POSITION.stop)
-    Q = np.zeros((em.SIZE, em.SIZE))
+    Q = np.zeros((em.MOVING, em.MOVING))
     for N, turn, tilt, acceleration in (
         (np.array([[T**3 / 12, T**4 / 24], [T**4 / 24, T**5 / 45]]), YAW_PSD, TILT_PSD, JERK_PSD),
         (np.array([[T**2, T**3 / 2], [T**3 / 2, T**4 / 4]]), RATE_VARIANCE, TILT_VARIANCE, FORCE_VARIANCE),

@@ -33,12 +33,14 @@ MAX_LEAP_S = 40
 ROUNDING_NS = 2_000_000  # times of a fix and of measurements of one epoch differ by less
 EPOCH_NS = 200_000_000  # after its first row an epoch is complete
 MIN_FIELDS = 6  # of the oldest version of the app; those behind may be missing
-GPS_SUBFRAME = 0x0101  # type of a navigation message: L1 C/A
+GPS_SUBFRAME, GALILEO_PAGE = 0x0101, 0x0601  # types of a navigation message: L1 C/A, and I/NAV of E1-B or E5b-I
 WORDS = 10
+PART_BITS, PAGE_BYTES = 114, 29  # of each half of a page, without its tail; four bits of the last byte are not used
+SATELLITES = {GPS_SUBFRAME: 32, GALILEO_PAGE: 36}
 
 
 class GnssLoggerDialect(Dialect):
-    """Fixes, raw measurements, GPS navigation words, and the bytes of the inertial sensors of a phone."""
+    """Fixes, raw measurements, navigation words, and the bytes of the inertial sensors of a phone."""
 
     name = "GnssLogger"
     positions = (frozenset(("Fix",)),)
@@ -156,18 +158,36 @@ class GnssLoggerDialect(Dialect):
         return self._clock.stamp(utc_ns + behind_ns, received_ns) - behind_ns
 
     def _words(self, row: Row, received_ns: int) -> Iterator[Output]:
-        """Subframes of GPS L1 C/A: ten words of 30 bits in four bytes each."""
-        if integer(row, "type") != GPS_SUBFRAME:
+        """Subframes of GPS L1 C/A, and pages of Galileo I/NAV, whose words are the same on E1-B and on E5b-I.
+
+        References
+        ----------
+        Android, GnssNavigationMessage.getData.
+        """
+        kind = integer(row, "type")
+        if kind not in SATELLITES:
             return
         satellite = integer(row, "svid")
         try:
             content = bytes(int(text) & 0xFF for text in row.get("data", "").split(",") if text.strip())
         except ValueError as error:
             raise ContentError("phone_nav") from error
-        if satellite is None or not 0 < satellite <= 32 or len(content) != 4 * WORDS:
+        length = 4 * WORDS if kind == GPS_SUBFRAME else PAGE_BYTES
+        if satellite is None or not 0 < satellite <= SATELLITES[kind] or len(content) != length:
             raise ContentError("phone_nav")
-        words = tuple(int.from_bytes(content[k : k + 4], "big") & 0x3FFFFFFF for k in range(0, 4 * WORDS, 4))
+        if kind == GPS_SUBFRAME:
+            constellation, signal = Constellation.GPS, "1C"
+            words = tuple(int.from_bytes(content[k : k + 4], "big") & 0x3FFFFFFF for k in range(0, 4 * WORDS, 4))
+        else:
+            constellation, signal, words = Constellation.GALILEO, "1B", page_words(content)
         yield GnssNavigationBits(
-            sampled_ns=received_ns, received_ns=received_ns, source=self.stream.source, constellation=Constellation.GPS,
-            number=satellite, signal="1C", words=words,
+            sampled_ns=received_ns, received_ns=received_ns, source=self.stream.source, constellation=constellation,
+            number=satellite, signal=signal, words=words,
         )  # fmt: skip
+
+
+def page_words(content: bytes) -> tuple[int, ...]:
+    """Eight words of a page of I/NAV as a receiver of u-blox gives them: each half in four, its tail zero."""
+    page = int.from_bytes(content, "big") >> 8 * PAGE_BYTES - 2 * PART_BITS
+    halves = page >> PART_BITS, page & (1 << PART_BITS) - 1
+    return tuple(half << 128 - PART_BITS >> shift & 0xFFFFFFFF for half in halves for shift in (96, 64, 32, 0))

@@ -11,7 +11,6 @@ from pydantic import ValidationError
 
 from services.core.fusion.aids.gnss.aid import of_fix
 from services.core.fusion.aids.odometer.settings import OdometerSettings
-from services.core.fusion.inertial import error_model as em
 from services.core.fusion.messages import state_message
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.process import Config, Process
@@ -453,7 +452,7 @@ def test_a_saved_state_is_unchanged_by_encoding() -> None:
         ({"covariance": (1.0, 2.0)}, "saved state of another layout"),
         ({"sampled_ns": EPOCH_NS + 30 * 10**9}, "saved state too old"),
         ({"sampled_ns": EPOCH_NS + 50 * 10**9}, "saved state from the future"),
-        ({"covariance": (-1.0,) * (em.SIZE * (em.SIZE + 1) // 2)}, "saved state without a positive covariance"),
+        ({"covariance": (-1.0,) * len(last_state().covariance)}, "saved state without a positive covariance"),
     ],
 )
 def test_a_state_that_does_not_fit_is_rejected_and_counted(changes: dict[str, object], reason: str) -> None:

@@ -7,13 +7,15 @@ import pytest
 from pydantic import ValidationError
 
 from services.monitoring.recorder.codes import Code
-from services.monitoring.recorder.process import Config, Process
+from services.monitoring.recorder.process import POWER_ENDS, Config, Process
 from shared.bus.bus import Envelope
 from shared.library.order import in_order, read_order
-from shared.messages.explanation import QuotedText
+from shared.messages.explanation import QuotedText, explain
 from shared.messages.operation import Mode, ModeState, RecordingState
+from shared.messages.power import LowReason
 from shared.recording import Recording
 from shared.recording.reader import MAXIMUM_CHUNK
+from shared.words.words import words
 from tests.support.bus.envelopes import sent, sent_bytes
 from tests.support.bus.fake_bus import FakeBus
 
@@ -377,8 +379,11 @@ def test_a_recording_that_cannot_be_deleted_does_not_stop_the_deletion_of_others
     assert names_of(folder) == ["a.mcap", "c.mcap", "20260921T141320Z_car.mcap"]
 
 
-def mode_at(call: int, *, power_off: bool, retained: bool = False) -> Envelope:
-    state = ModeState(sampled_ns=START_NS, mode=Mode.SHUTTING_DOWN, since_ns=START_NS, reason="", power_off=power_off)
+def mode_at(call: int, *, power_off: bool, retained: bool = False, why: LowReason | None = None) -> Envelope:
+    state = ModeState(
+        sampled_ns=START_NS, mode=Mode.SHUTTING_DOWN, since_ns=START_NS, reason="", power_off=power_off,
+        power_off_reason=why,
+    )  # fmt: skip
     return sent(state, START_NS + call, "controller.mode", 1, call, retained=retained)
 
 
@@ -399,6 +404,21 @@ def test_the_file_is_closed_before_the_power_ends_and_a_new_one_begins_when_it_i
     assert finished == [True] and len(list(folder.glob("*.mcap"))) == 2
     assert [state.recording for state in states] == [True] * 3 + [False] * 3 + [True] * 3
     assert "about to end" in (states[4].reason or "")
+
+
+def test_every_reason_of_a_low_battery_has_its_own_words() -> None:
+    codes = [POWER_ENDS[reason] for reason in LowReason]
+    assert len({words().detail(explain(code)) for code in codes}) == len(LowReason)
+
+
+def test_a_recorder_that_stops_for_a_battery_that_lasts_too_short_says_so(tmp_path: Path) -> None:
+    def script(call: int) -> list[Envelope] | None:
+        return [mode_at(call, power_off=True, why=LowReason.AUTONOMY)] if call < 40 else None
+
+    bus = FakeBus(tmp_path, script, start_ns=START_NS)
+    Process(EASY).run(bus.as_bus())
+    last = [message for message in bus.published if isinstance(message, RecordingState)][-1]
+    assert last.reason_code is not None and last.reason_code.code == Code.AUTONOMY_ENDS
 
 
 def test_a_mode_that_the_broker_has_kept_closes_nothing(tmp_path: Path) -> None:

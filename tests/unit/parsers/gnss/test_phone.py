@@ -15,16 +15,21 @@ import pytest
 
 from cli.import_drive.import_drive import body_from_phone
 from cli.import_drive.readers.gnss_logger import messages_of, read_log
+from services.core.cooperative.broadcast.galileo_inav import decode_ephemeris, decode_page
+from services.core.cooperative.measurements import Constellation as Satellites
+from services.core.cooperative.measurements import SatelliteId
 from services.parsers.gnss.process import Config as GnssConfig
 from services.parsers.gnss.process import Process as GnssParser
 from services.parsers.imu.process import Config as ImuConfig
 from services.parsers.imu.process import Process as ImuParser
+from services.sensors.simulator.gnss.navigation_words import inav_page
 from shared.devices.device import DeviceLost, open_device
 from shared.messages.base import Message
 from shared.messages.gnss import Constellation, GnssFix, GnssNavigationBits, GnssRaw, GnssRawEpoch
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.protocols.recognition import recognise
 from tests.support.data import recording
+from tests.support.gnss.constellation import TOE_NS, elements, ephemeris
 
 T = TypeVar("T", bound=Message)
 NS, MS = 1_000_000_000, 1_000_000
@@ -225,6 +230,29 @@ def test_words_of_a_subframe_are_those_of_a_receiver() -> None:
     found, rejects = parsed(list(pieces_of([f"Nav,7,257,1,-1,1,{data}", f"Nav,7,257,1,-1,1,{data},5"], 1 << 20)))
     (bits,) = of_kind(found, GnssNavigationBits)
     assert (bits.number, bits.signal, bits.words) == (7, "1C", tuple(words)) and rejects == {"phone_nav": 1}
+
+
+def nav_line(svid: int, words: Sequence[int]) -> str:
+    """Line of a page of I/NAV: both halves without their tails, and four bits that are not used."""
+    even, odd = (int.from_bytes(b"".join(word.to_bytes(4, "big") for word in half)) >> 14 for half in
+                 (words[:4], words[4:]))  # fmt: skip
+    content = ((even << 114 | odd) << 4).to_bytes(29, "big")
+    return f"Nav,{svid},1537,1,-1,1," + ",".join(str(byte - 256 if byte > 127 else byte) for byte in content)
+
+
+def test_pages_of_galileo_are_those_of_a_receiver_and_give_its_ephemeris() -> None:
+    sent = ephemeris(SatelliteId(Satellites.GALILEO, 11), 1.0, 0.5)
+    pages = [inav_page(elements(sent), kind, TOE_NS // NS + 2 * kind) for kind in range(1, 6)]
+    found, rejects = parsed(list(pieces_of([nav_line(11, page) for page in pages], 1 << 20)))
+    bits = of_kind(found, GnssNavigationBits)
+    assert [one.words for one in bits] == pages and not rejects
+    words = {word.number: word for one in bits if (word := decode_page(one.words)) is not None}
+    decoded = decode_ephemeris(11, words, TOE_NS)
+    assert decoded is not None and decoded.healthy and (decoded.issue, decoded.toe_ns) == (sent.issue, sent.toe_ns)
+    assert decoded.sqrt_a == pytest.approx(sent.sqrt_a, abs=2.0**-19)
+
+    broken = nav_line(11, pages[0]).rsplit(",", 1)[0], nav_line(37, pages[0])
+    assert parsed(list(pieces_of(broken, 1 << 20)))[1] == {"phone_nav": 2}
 
 
 HOSTILE = [

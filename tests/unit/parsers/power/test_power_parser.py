@@ -8,7 +8,7 @@ from pydantic import ValidationError
 from services.parsers.power.battery import is_short
 from services.parsers.power.process import Config, Process
 from shared.messages.base import Tick
-from shared.messages.power import PowerEvent, PowerProtocol, PowerRaw, PowerState
+from shared.messages.power import LowReason, PowerEvent, PowerProtocol, PowerRaw, PowerState
 from tests.support.cases import each
 
 S = 1_000_000_000
@@ -231,13 +231,16 @@ def test_a_battery_that_lasts_less_than_is_wanted_has_its_own_reason_and_noise_d
     for second in range(3000):
         state = run.read(ina219(8.4 - 2.4 * second / 6000.0 + rng.gauss(0.0, 0.024), -0.5))
     assert state.low and "nearly empty" not in state.reason and "less than the 3600 s" in state.reason
+    assert state.low_reason is LowReason.AUTONOMY
+    assert [event.low_reason for event in run.events if event.low] == [LowReason.AUTONOMY]
     changes = [event.low for event in run.events if event.on_battery]
     assert changes == [False, True], "low once"
     for _ in range(3000):
         second += 1
         state = run.read(ina219(8.4 - 2.4 * second / 6000.0, -0.5))
-    assert "nearly empty" in state.reason
-    assert not run.read(ina219(8.2, 0.5), 20).low
+    assert "nearly empty" in state.reason and state.low_reason is LowReason.CHARGE
+    state = run.read(ina219(8.2, 0.5), 20)
+    assert not state.low and state.low_reason is None
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,10 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from math import exp, hypot, log
+from math import hypot
 
 import numpy as np
 
-from shared.maths.earth import STANDARD_GRAVITY
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import AidingKind
 
@@ -15,40 +14,13 @@ from ...inertial.filter import ErrorStateFilter
 from ...settings import Settings
 from ...states import LAYOUT
 from ..base import Kind, Observation
+from .atmosphere import pressure_height
 
 OFFSET = LAYOUT.index("barometer_offset")  # [m]
 PERIOD_NS = 1_000_000_000  # once a second is enough
 CORRELATION_S = 10.0  # of the pressure of the wind: successive readings are no independent evidence
 WIND = 0.002  # [m per (m/s)²] by which the air stream shifts the height: 2 % of its stagnation pressure
 LOWEST_PA, HIGHEST_PA = 40_000.0, 115_000.0  # no road is higher or lower
-STANDARD_PA, STANDARD_K, LAPSE_K_M = 101_325.0, 288.15, -0.0065
-EXPONENT = 8.31432 * 0.0065 / (STANDARD_GRAVITY * 0.0289644)
-
-
-def pressure_height(pressure_pa: float) -> float:
-    """Height in the standard atmosphere.
-
-    Parameters
-    ----------
-    pressure_pa : float
-        [Pa] Static pressure.
-
-    Returns
-    -------
-    float
-        [m] Geopotential height above the level of 101325 Pa.
-
-    Notes
-    -----
-    ::
-
-        h = T_b/L_b [(P/P_b)^(-R L_b/(g M)) - 1],  L_b = -0.0065 K/m
-
-    References
-    ----------
-    U.S. Standard Atmosphere, 1976, eq. 33a, solved for the height.
-    """
-    return STANDARD_K / LAPSE_K_M * (exp(EXPONENT * log(pressure_pa / STANDARD_PA)) - 1.0)
 
 
 @dataclass(frozen=True)

@@ -17,3 +17,16 @@ class BarometerSettings(Section):
         gt=0.0,
         description="random walk of the offset of the barometric height, by weather and open windows",
     )
+    qnh_hpa: float | None = Field(
+        default=None,
+        ge=850.0,
+        le=1100.0,
+        description="air pressure at sea level (QNH) at the start; without it the offset is found by heights of GNSS",
+    )
+    qnh_sd_m: float = Field(
+        default=5.0,
+        gt=0.0,
+        le=100.0,
+        description="standard deviation of the height by that pressure: a whole hPa is 8 m; that of the temperature, "
+        "3.5 % of the height above the sea, is added",
+    )

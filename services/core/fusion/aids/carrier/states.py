@@ -5,8 +5,14 @@ that epoch's phases, and later displacements measure the position against it.
 """
 
 from ...blocks import Block
+from ...settings import Settings
+
+
+def _on(settings: Settings) -> bool:
+    return settings.carrier.enabled
+
 
 BLOCKS = (
-    Block("carrier_offset", 3, "m, NED"),  # an anchor sets it
-    Block("carrier_drift", 3, "m/s, NED"),  # and this, a Gauss-Markov process
+    Block("carrier_offset", 3, "m, NED", on=_on),  # an anchor sets it
+    Block("carrier_drift", 3, "m/s, NED", on=_on),  # and this, a Gauss-Markov process
 )

@@ -111,6 +111,8 @@ def speed_observation(
     H[0, SCALE] = -forward
     predicted, speed, rate = scale * forward, measured, row.state.rate_b[2]
     noise = hypot(model.speed_sd, resolution / 12.0**0.5)
+    of_filter = H[0, : len(row.P)]
+    predicted_variance = float(of_filter @ row.P @ of_filter)
     if measured == 0.0:
         noise = hypot(noise, DEAD_ZONE_SD)
     side = 0.0 if exact and model.arm_sd == 0.0 else HALF_TRACK_M * rate
@@ -121,10 +123,10 @@ def speed_observation(
         rows, R = np.empty((3, em.SIZE)), np.zeros((3, 3))
         rows[0], rows[1:] = H[0], axle_H[1:]
         R[0, 0], R[1, 1], R[2, 2] = variance, sway2, sway2
-        unsure = float(H[0] @ row.P @ H[0]) > DEAD_ZONE_SD**2
+        unsure = predicted_variance > DEAD_ZONE_SD**2
         return np.array([-predicted, -float(ahead[1]), -float(ahead[2])]), rows, R, unsure
     if speed > 0.0:
-        direction = tanh(speed * predicted / (float(H[0] @ row.P @ H[0]) + variance))
+        direction = tanh(speed * predicted / (predicted_variance + variance))
         variance += speed**2 * (1.0 - direction**2)
         speed *= direction
     return np.array([speed - predicted]), H, np.array([[variance]]), False

@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from cli.papers.navigation import give_fix
-from services.core.fusion.aids.barometer.aid import BarometricHeight, pressure_height
+from services.core.fusion.aids.barometer.aid import BarometricHeight
+from services.core.fusion.aids.barometer.atmosphere import pressure_height
+from services.core.fusion.aids.barometer.settings import BarometerSettings
 from services.core.fusion.aids.base import Outcome
 from services.core.fusion.aids.dual_antenna.aid import BaselineHeading
 from services.core.fusion.aids.magnetometer.aid import MAX_SECTOR_ERROR, SECTORS, CompassCheck, MagneticHeading
@@ -28,6 +30,7 @@ from services.core.fusion.states import LAYOUT
 from services.sensors.simulator.drive import Drive, simulate
 from shared.inertial.strapdown import InertialState
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
+from shared.maths.geoid.geoid import separation_m
 from shared.maths.rotation import Vector, ned_from_body, quaternion_from_matrix
 from shared.messages.explanation import explain
 from shared.messages.navigation import AidingKind, NavigationPhase
@@ -107,6 +110,7 @@ def processed(
     iron: Vector | None = None,
     outage: bool = True,
     seconds: float = OUTAGE_S[1],
+    barometer: BarometerSettings = BarometerSettings(),
 ) -> tuple[Navigator, list[Outcome]]:
     """Process the drive; the pressure height has a step at a time."""
     d = drive()
@@ -117,6 +121,7 @@ def processed(
             odometer=OdometerSettings(enabled=False),
             non_holonomic=NonHolonomicSettings(enabled=False),
             standstill=StandstillSettings(enabled=False),
+            barometer=barometer,
         )
     )
     outcomes: list[Outcome] = []
@@ -159,6 +164,22 @@ def test_a_barometer_halves_the_height_deviation_in_an_outage() -> None:
     assert filtered is not None
     offset_sd = float(filtered.P[LAYOUT.index("barometer_offset"), LAYOUT.index("barometer_offset")]) ** 0.5
     assert abs(filtered.parameter(LAYOUT.index("barometer_offset")) - OFFSET_M) < 3.0 * offset_sd < 5.0
+
+
+def test_a_stated_qnh_gives_the_offset_at_the_start() -> None:
+    place = Geodetic(*drive().position[0].tolist())
+    separation = separation_m(degrees(place.latitude), degrees(place.longitude))
+    qnh_hpa = 1013.25 * (1.0 - 2.25577e-5 * (OFFSET_M + separation)) ** 5.25588  # of air whose offset is OFFSET_M
+    sd = {}
+    for stated in (None, qnh_hpa):
+        made, _ = processed(seconds=OUTAGE_S[0] / 2.0, barometer=BarometerSettings(qnh_hpa=stated))
+        assert made.engine.filter is not None
+        offset = LAYOUT.index("barometer_offset")
+        sd[stated] = float(made.engine.filter.P[offset, offset]) ** 0.5
+    assert made.engine.filter.parameter(offset) == pytest.approx(OFFSET_M, abs=0.5)
+    assert 5.0 < sd[qnh_hpa] < 0.1 * sd[None]  # the temperature is not known
+    off = Settings(barometer=BarometerSettings(enabled=False, qnh_hpa=qnh_hpa))
+    assert LAYOUT.block("barometer_offset").known(off, place) is None
 
 
 def test_a_pressure_step_is_rejected_and_the_height_stays_within_three_sigma() -> None:

@@ -205,7 +205,7 @@ def of_filter(records: Records) -> dict[int, ErrorStateFilter]:
     for record in records.all:
         if isinstance(record, Knot):
             twin = copy(record.filter)
-            twin.P = np.zeros((em.SIZE, em.SIZE))
+            twin.P = np.zeros((record.filter.size, record.filter.size))
             twin.P[np.ix_(record.known, record.known)] = record.filter.P
             found[record.time_ns] = twin
     return found

@@ -19,7 +19,6 @@ from services.core.fusion.settings import Settings
 from services.core.fusion.start.heading import Prior
 from services.core.fusion.start.warm_start import (
     MAX_GAP_S,
-    UPPER,
     SavedState,
     covariance_of,
     fault,
@@ -241,7 +240,8 @@ def invalid(name: str) -> SavedState:
         inertial = inertial._replace(velocity=(600.0, 0.0, 0.0))
     parameters = saved.parameters[:-1] if name == "short" else saved.parameters
     read = ((1e6, 0.0, 0.0), saved.sample[1]) if name == "sample" else saved.sample
-    return saved._replace(inertial=inertial, parameters=parameters, sample=read, covariance=tuple(P[UPPER].tolist()))
+    upper = tuple(P[np.triu_indices(len(P))].tolist())
+    return saved._replace(inertial=inertial, parameters=parameters, sample=read, covariance=upper)
 
 
 @each(
@@ -275,11 +275,11 @@ def test_an_invalid_state_is_rejected_with_a_counted_reason(name: str, reason: s
     ],
 )
 def test_a_state_too_old_or_from_the_future_is_rejected(age_s: float, reason: str | None) -> None:
-    assert fault(states()[5000], int(drive().t_ns[5000]) + round(age_s * 1e9)) == reason
+    assert fault(states()[5000], settings(), int(drive().t_ns[5000]) + round(age_s * 1e9)) == reason
 
 
 def test_every_saved_state_of_a_drive_is_valid() -> None:
-    assert all(fault(saved, saved.inertial.time_ns + 10**9) is None for saved in states().values())
+    assert all(fault(saved, settings(), saved.inertial.time_ns + 10**9) is None for saved in states().values())
 
 
 def test_other_settings_have_another_fingerprint() -> None:
