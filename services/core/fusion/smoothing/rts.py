@@ -149,9 +149,9 @@ def _size_of(record: Record) -> int:
         case Step():
             return len(record.decay)
         case CorrectionRecord():
-            return record.H.shape[1]
+            return int(record.H.shape[1])
         case UnitChange():
-            return record.rows.shape[1]
+            return int(record.rows.shape[1])
         case Knot():
             return record.filter.size
         case _:
