@@ -23,11 +23,11 @@ def test_a_table_becomes_a_mapping_that_is_one() -> None:
 
 
 @each("name", ["../../etc/passwd", "C:\\drive.csv", "/abs/x.csv", "...", "x.toml", "-o", ""])
-def test_a_name_stays_in_its_folder(name: str, tmp_path: Path) -> None:
-    before = set(Path(tempfile.gettempdir()).glob("obu-draft-*"))
+def test_a_name_stays_in_its_folder(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     found = _drafted(name, (HEADER + ROWS).encode())
     assert "/" not in found["name"] and not found["name"].startswith((".", "-"))
-    assert set(Path(tempfile.gettempdir()).glob("obu-draft-*")) <= before
+    assert not list(tmp_path.iterdir())
 
 
 @each("data", [b"", b"\x00\xff" * 500, b"a,b\n1,2\n3,4\n", (HEADER + "x" * 3000).encode()])
