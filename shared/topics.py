@@ -322,6 +322,7 @@ def may_send(process: str, name: str) -> bool:
     return process in topic.producers or (process == REPLAY and (topic in measurements() or name == "origin/state"))
 
 
+@lru_cache
 def subscriptions(process: str) -> tuple[Topic, ...]:
     """List what a process listens to."""
     everything = any(row.observes_all for row in PROCESSES if row.name == process)
@@ -352,6 +353,7 @@ def measurements() -> tuple[Topic, ...]:
     )  # fmt: skip
 
 
+@lru_cache
 def needs(process: str) -> tuple[Topic, ...]:
     """List the topics with a rate that a process needs: not advice, nor feedback of processes that follow it."""
     order = list(PROCESS_ROWS)

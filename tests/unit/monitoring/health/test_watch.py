@@ -1,4 +1,6 @@
 from collections.abc import Callable
+from copy import deepcopy
+from functools import lru_cache
 
 import pytest
 
@@ -153,12 +155,17 @@ def told(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> boo
     return by_heartbeats
 
 
-@pytest.fixture
-def unit() -> Unit:
-    """A unit that has run well for 20 s."""
+@lru_cache
+def _run_well(*, told: bool) -> Unit:
     made = Unit()
-    assert made.run(20) == []
+    assert made.told is told and made.run(20) == []
     return made
+
+
+@pytest.fixture
+def unit(told: bool) -> Unit:
+    """A unit that has run well for 20 s: a copy, for each test breaks it in its own way."""
+    return deepcopy(_run_well(told=told))
 
 
 def outages(events: list[tuple[float, Outage]]) -> dict[str, Outage]:
