@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from math import radians
 
 import numpy as np
@@ -78,7 +78,7 @@ class Drive:
                 yield self._solve(fix, epoch, without)
 
     def _solve(self, fix: GnssFix, epoch: GnssRawEpoch, without: SatelliteId | None) -> EpochSolution:
-        store = self._store(epoch.gps_time_ns)
+        store = self._store
         raw = RawEpoch(epoch.gps_time_ns, tuple(
             one for m in epoch.measurements if m.pseudorange_m is not None
             if (one := Measurement(SatelliteId(Constellation(m.constellation.value), m.number), m.pseudorange_m,
@@ -103,11 +103,12 @@ class Drive:
             tuple(sight.satellite for sight in sights),
         )
 
-    @lru_cache(maxsize=1)  # noqa: B019 - the drives are few and live as long as the tests
-    def _store(self, gps_time_ns: int) -> EphemerisStore:
+    @cached_property
+    def _store(self) -> EphemerisStore:
+        """What all satellites have sent; the time tells only in which week that was."""
         store = EphemerisStore()
         for bits in self._bits:
-            store.add_words(SatelliteId(Constellation(bits.constellation.value), bits.number), bits.words, gps_time_ns)
+            store.add_words(SatelliteId(Constellation(bits.constellation.value), bits.number), bits.words, self.epochs[0].gps_time_ns)
         store.ionosphere = IONOSPHERE
         return store
 
