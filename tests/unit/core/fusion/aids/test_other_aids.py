@@ -110,7 +110,7 @@ def processed(
     iron: Vector | None = None,
     outage: bool = True,
     seconds: float = OUTAGE_S[1],
-    barometer: BarometerSettings = BarometerSettings(),
+    qnh_hpa: float | None = None,
 ) -> tuple[Navigator, list[Outcome]]:
     """Process the drive; the pressure height has a step at a time."""
     d = drive()
@@ -121,7 +121,7 @@ def processed(
             odometer=OdometerSettings(enabled=False),
             non_holonomic=NonHolonomicSettings(enabled=False),
             standstill=StandstillSettings(enabled=False),
-            barometer=barometer,
+            barometer=BarometerSettings(qnh_hpa=qnh_hpa),
         )
     )
     outcomes: list[Outcome] = []
@@ -172,7 +172,7 @@ def test_a_stated_qnh_gives_the_offset_at_the_start() -> None:
     qnh_hpa = 1013.25 * (1.0 - 2.25577e-5 * (OFFSET_M + separation)) ** 5.25588  # of air whose offset is OFFSET_M
     sd = {}
     for stated in (None, qnh_hpa):
-        made, _ = processed(seconds=OUTAGE_S[0] / 2.0, barometer=BarometerSettings(qnh_hpa=stated))
+        made, _ = processed(seconds=OUTAGE_S[0] / 2.0, qnh_hpa=stated)
         assert made.engine.filter is not None
         offset = LAYOUT.index("barometer_offset")
         sd[stated] = float(made.engine.filter.P[offset, offset]) ** 0.5
