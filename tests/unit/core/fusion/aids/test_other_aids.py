@@ -170,13 +170,12 @@ def test_a_stated_qnh_gives_the_offset_at_the_start() -> None:
     place = Geodetic(*drive().position[0].tolist())
     separation = separation_m(degrees(place.latitude), degrees(place.longitude))
     qnh_hpa = 1013.25 * (1.0 - 2.25577e-5 * (OFFSET_M + separation)) ** 5.25588  # of air whose offset is OFFSET_M
-    sd = {}
+    sd, offset = {}, LAYOUT.index("barometer_offset")
     for stated in (None, qnh_hpa):
         made, _ = processed(seconds=OUTAGE_S[0] / 2.0, qnh_hpa=stated)
-        assert made.engine.filter is not None
-        offset = LAYOUT.index("barometer_offset")
-        sd[stated] = float(made.engine.filter.P[offset, offset]) ** 0.5
-    assert made.engine.filter.parameter(offset) == pytest.approx(OFFSET_M, abs=0.5)
+        assert (filtered := made.engine.filter) is not None
+        sd[stated] = float(filtered.P[offset, offset]) ** 0.5
+    assert filtered is not None and filtered.parameter(offset) == pytest.approx(OFFSET_M, abs=0.5)
     assert 5.0 < sd[qnh_hpa] < 0.1 * sd[None]  # the temperature is not known
     off = Settings(barometer=BarometerSettings(enabled=False, qnh_hpa=qnh_hpa))
     assert LAYOUT.block("barometer_offset").known(off, place) is None
