@@ -173,7 +173,8 @@ def test_a_stated_qnh_gives_the_offset_at_the_start() -> None:
     sd, offset = {}, LAYOUT.index("barometer_offset")
     for stated in (None, qnh_hpa):
         made, _ = processed(seconds=OUTAGE_S[0] / 2.0, qnh_hpa=stated)
-        assert (filtered := made.engine.filter) is not None
+        filtered = made.engine.filter
+        assert filtered is not None
         sd[stated] = float(filtered.P[offset, offset]) ** 0.5
     assert filtered is not None and filtered.parameter(offset) == pytest.approx(OFFSET_M, abs=0.5)
     assert 5.0 < sd[qnh_hpa] < 0.1 * sd[None]  # the temperature is not known
