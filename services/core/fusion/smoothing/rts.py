@@ -149,9 +149,9 @@ def _size_of(record: Record) -> int:
         case Step():
             return len(record.decay)
         case CorrectionRecord():
-            return int(record.H.shape[1])
+            return len(record.K)
         case UnitChange():
-            return int(record.rows.shape[1])
+            return len(record.rows.T)
         case Knot():
             return record.filter.size
         case _:
