@@ -108,7 +108,11 @@ class Drive:
         """What all satellites have sent; the time tells only in which week that was."""
         store = EphemerisStore()
         for bits in self._bits:
-            store.add_words(SatelliteId(Constellation(bits.constellation.value), bits.number), bits.words, self.epochs[0].gps_time_ns)
+            store.add_words(
+                SatelliteId(Constellation(bits.constellation.value), bits.number),
+                bits.words,
+                self.epochs[0].gps_time_ns,
+            )
         store.ionosphere = IONOSPHERE
         return store
 
