@@ -51,6 +51,17 @@ class Vehicle:
         except httpx.HTTPError:
             return {}
 
+    def of_report(self, name: str) -> object:
+        """A part of the report, once the page answers: a change of settings starts it again."""
+        found: list[Json] = []
+
+        def is_there() -> bool:
+            found.append(self.report())
+            return name in found[-1]
+
+        self.until(is_there)
+        return found[-1][name]
+
     def until(self, condition: Callable[[], object]) -> None:
         deadline = time.monotonic() + HANGS_S
         while not condition():
@@ -127,7 +138,7 @@ def test_the_receivers_port_is_changed_watched_kept_or_taken_back(vehicle: Vehic
         value = f'"serial://{second.path}?baud=9600"'
         checked = unit.ask(action="check", changes={"sensors.gnss.device": value})
         unit.until(lambda: unit.stage(checked) == "checked")
-        answer = cast(Json, unit.report()["answer"])
+        answer = cast(Json, unit.of_report("answer"))
         assert answer["differences"] == [{"name": "sensors.gnss.device", "before": before, "after": value}]
         assert answer["touched"] == ["sensors.gnss", "monitoring.status"] and unit.device() == before, (
             "nothing is changed yet"
@@ -147,10 +158,10 @@ def test_the_receivers_port_is_changed_watched_kept_or_taken_back(vehicle: Vehic
 
         wrong = unit.ask(action="apply", changes={"sensors.gnss.device": f'"serial://{tmp_path}/nothing"'})
         unit.until(lambda: unit.stage(wrong) == "taken_back")
-        assert "gnss/raw" in str(unit.report()["reasons"]) and "is silent" in str(unit.report()["reasons"])
+        assert "gnss/raw" in str(unit.of_report("reasons")) and "is silent" in str(unit.of_report("reasons"))
         unit.until(lambda: unit.device() == value)
         unit.until(unit.is_received)
-        versions = cast("list[Json]", cast(Json, unit.report()["state"])["versions"])
+        versions = cast("list[Json]", cast(Json, unit.of_report("state"))["versions"])
         assert len(versions) == 3 and all(one["differing"] for one in versions[:1]), "what was wrong is kept too"
 
 
@@ -161,7 +172,7 @@ def test_a_change_is_watched_on_after_the_process_was_killed_and_a_hand_edit_hol
     applied = unit.ask(action="apply", changes={"monitoring.status.port": str(port)})
     old, unit.port = unit.port, port
     unit.until(lambda: unit.stage(applied) == "watched")
-    change_of = cast(Json, cast(Json, unit.report()["state"])["change"])
+    change_of = cast(Json, cast(Json, unit.of_report("state"))["change"])
     assert change_of["confirmation"] is True, "it decides who reaches the page"
     killed = unit.supervisor.children["controller.settings"].process
     assert killed is not None
@@ -169,8 +180,8 @@ def test_a_change_is_watched_on_after_the_process_was_killed_and_a_hand_edit_hol
     unit.until(lambda: unit.supervisor.children["controller.settings"].restarts)
     unit.port = old
     unit.until(lambda: unit.stage(applied) == "taken_back")
-    assert "unless it is confirmed" in str(unit.report()["reasons"])
+    assert "unless it is confirmed" in str(unit.of_report("reasons"))
 
     unit.file.write_text(unit.file.read_text().replace("[monitoring.status]", "[monitoring.status]\nhistory_s = 60.0"))
     unit.until(lambda: unit.value("monitoring.status.history_s") == "60.0")
-    assert "edited by hand" in str(unit.report()["problem"])
+    assert "edited by hand" in str(unit.of_report("problem"))

@@ -22,7 +22,7 @@ export function Centre({ name }) {
   const code = usable(address) ? `api/set-up/qr.svg?centre=${encodeURIComponent(address)}` : null;
   const [broken, setBroken] = useState("");
   return html`<h3>${w.centre}</h3>${known ? html`<p>${w.enrolledAt(known)}</p>` : html`<p class="note">${w.centreWhy}</p>
-    <label>${w.centreAddress} <input type="url" maxlength=${MOST} spellcheck="false" autocapitalize="off" autocomplete="off" placeholder="https://centre.example:8090" value=${typed} onInput=${(e) => { setTyped(e.target.value); setBroken(""); }} /></label>
+    <label>${w.centreAddress} <input type="url" maxlength=${MOST} spellcheck="false" autocapitalize="off" autocomplete="off" placeholder="https://" value=${typed} onInput=${(e) => { setTyped(e.target.value); setBroken(""); }} /></label>
     <div role="status">${address && !code && html`<p class="note">${w.centreWrong}</p>`}
       ${code && (broken === code ? html`<p class="note">${w.centreName(name)}</p>` : html`<img class="qr" src=${code} alt=${w.centreCode(name)} onError=${() => setBroken(code)} /><p class="note">${w.centreCode(name)}</p>`)}</div>`}`;
 }
