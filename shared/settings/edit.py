@@ -1,7 +1,7 @@
 """Changes of a vehicle's file: comments and order stay, and what the file would mean is checked first."""
 
 import tomllib
-from collections.abc import Mapping, MutableMapping
+from collections.abc import Callable, Mapping, MutableMapping
 from dataclasses import dataclass
 from typing import cast
 
@@ -15,6 +15,7 @@ from ..runtime.migration import table_at
 from .catalogue import FACTS, Setting, catalogue, uses_facts, validate, values_of
 from .digests import READS
 
+Table = MutableMapping[str, object]
 REMOVED = object()  # in the place of a value: the default holds
 
 
@@ -65,18 +66,16 @@ def edited(text: str, changes: Mapping[str, object]) -> str:
     UserError
         The file is no TOML that can be edited.
     """
-    try:
-        file = cast("MutableMapping[str, object]", tomlkit.parse(text))
+
+    def change(file: Table) -> None:
         for name, value in changes.items():
             *sections, key = name.split(".")
-            if value is REMOVED:
-                if _has(file, sections, key):
-                    table_at(file, sections).pop(key)
-            else:
+            if value is not REMOVED:
                 table_at(file, sections)[key] = value
-        return tomlkit.dumps(cast(tomlkit.TOMLDocument, file))
-    except TOMLKitError as error:
-        raise UserError(f"the file cannot be edited: {error}; correct it by hand") from error
+            elif _has(file, sections, key):
+                table_at(file, sections).pop(key)
+
+    return _changed(text, change)
 
 
 def with_sections(text: str, runs: Mapping[str, bool]) -> str:
@@ -87,15 +86,24 @@ def with_sections(text: str, runs: Mapping[str, bool]) -> str:
     UserError
         The file is no TOML that can be edited.
     """
-    try:
-        file = cast("MutableMapping[str, object]", tomlkit.parse(text))
+
+    def change(file: Table) -> None:
         for name, wanted in runs.items():
             layer, process = name.split(".")
-            if not wanted and _has(file, [layer], process):
-                table_at(file, [layer]).pop(process)
-            elif wanted:
+            if wanted:
                 table_at(file, [layer, process])
-        return tomlkit.dumps(cast(tomlkit.TOMLDocument, file))
+            elif _has(file, [layer], process):
+                table_at(file, [layer]).pop(process)
+
+    return _changed(text, change)
+
+
+def _changed(text: str, change: Callable[[Table], None]) -> str:
+    """Text of a file with a change; all else stays as it is written."""
+    try:
+        file = tomlkit.parse(text)
+        change(cast(Table, file))
+        return tomlkit.dumps(file)
     except TOMLKitError as error:
         raise UserError(f"the file cannot be edited: {error}; correct it by hand") from error
 

@@ -1,8 +1,6 @@
 """The draft of a mapping for a file of another program, by the beginning of that file."""
 
 import re
-import subprocess
-import sys
 import tempfile
 import threading
 from pathlib import Path
@@ -15,6 +13,8 @@ from typing_extensions import TypedDict
 from shared.bounded import TOML_BYTES, read_text
 from shared.page import body
 from shared.page.answers import answer, refusals
+
+from .made_file import run_command
 
 MOST_BYTES = 1 << 20  # of the file's beginning: some minutes of most logs
 WITHIN_S, TEXT = 60.0, 20_000
@@ -77,13 +77,7 @@ def _drafted(name: str, beginning: bytes) -> MappingDraft:
     with tempfile.TemporaryDirectory(prefix="obu-draft-") as folder:
         table = Path(folder) / plain
         table.write_bytes(beginning)
-        command = ["nice", sys.executable, "-m", "cli", "import", str(table), "--draft"]
-        try:
-            done = subprocess.run(
-                command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=WITHIN_S, check=False
-            )
-        except (OSError, subprocess.TimeoutExpired) as error:
-            raise HTTPException(500, f"{error}; use `obu import {plain} --draft`") from error
+        done = run_command(("import", str(table), "--draft"), WITHIN_S, f"use `obu import {plain} --draft`")
         if done.returncode:
             raise HTTPException(422, done.stderr.replace(f"{folder}/", "").removeprefix("obu: ").strip()[-600:])
         toml = read_text(table.with_suffix(".toml"), TOML_BYTES).replace(folder, "FOLDER")

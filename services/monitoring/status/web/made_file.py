@@ -5,7 +5,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from fastapi.responses import FileResponse
 from starlette.types import Receive, Scope, Send
 
 SAID = 300  # characters of a command's last words
+NO_MORE: Mapping[str, str] = {}  # of the environment
 
 
 @dataclass(frozen=True)
@@ -84,14 +85,21 @@ class MadeFiles:
 
 
 def _run(making: Making, folder: Path) -> None:
-    command = ["nice", sys.executable, "-m", "cli", *making.arguments]
-    try:
-        done = subprocess.run(
-            command, env={**os.environ, "TMPDIR": str(folder), **making.environment}, stdin=subprocess.DEVNULL,
-            capture_output=True, text=True, timeout=making.within_s, check=False,
-        )  # fmt: skip
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise HTTPException(500, f"{error}; run `{making.by_hand}` on the unit") from error
+    done = run_command(making.arguments, making.within_s, f"run `{making.by_hand}` on the unit",
+                       {"TMPDIR": str(folder), **making.environment})  # fmt: skip
     if done.returncode:
         said = done.stderr.strip().removeprefix("obu: ")[-SAID:]
         raise HTTPException(500, said or f"it ended without a word; run `{making.by_hand}` there")
+
+
+def run_command(
+    arguments: Sequence[str], within_s: float, instead: str, environment: Mapping[str, str] = NO_MORE
+) -> subprocess.CompletedProcess[str]:
+    """Run a command of the unit as a child; raises `HTTPException` 500 with what to do `instead` where it hangs."""
+    try:
+        return subprocess.run(
+            ["nice", sys.executable, "-m", "cli", *arguments], env={**os.environ, **environment},
+            stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=within_s, check=False,
+        )  # fmt: skip
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise HTTPException(500, f"{error}; {instead}") from error
