@@ -322,7 +322,9 @@ users_of_unit() {
 }
 
 remove() {
-    systemctl disable --quiet --now obu-switched.path obu.target rsu.target >>"$LOG" 2>&1 || true
+    for unit in obu-switched.path obu.target rsu.target; do # one that an older installation lacks fails alone
+        systemctl disable --quiet --now "$unit" >>"$LOG" 2>&1 || true
+    done
     for unit in $(systemctl list-units --all --plain --no-legend 'obu@*' obu-broker.service 2>/dev/null | awk '{ print $1 }'); do
         systemctl stop "$unit" >>"$LOG" 2>&1 || true
     done

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Start the processes that the settings switch on, and end those that they switch off, at once and at each start.
+# Start the processes that the settings switch on, and end those that they switch off, now and from each start on.
 # The settings are written by an unprivileged process: another one reads them, and only names of our own list count.
-# `switch.sh enable` only notes what runs at the next start.
+# `switch.sh enable` starts none, but notes them for the next start; it ends those that are switched off.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
@@ -13,7 +13,8 @@ all='from shared.processes import *; print(*(row.name for row in PROCESSES if ro
 follow() { # --now, or nothing
     wanted=" $(setpriv --reuid obu --regid obu --clear-groups --no-new-privs .venv/bin/python -c "$of_file") "
     on=() off=()
-    for name in $(.venv/bin/python -c "$all"); do
+    names=$(.venv/bin/python -c "$all") # a failure here ends the script, one within `for` would not
+    for name in $names; do
         case $wanted in *" $name "*) runs=1 ;; *) runs= ;; esac
         if systemctl is-enabled --quiet "obu@$name.service" 2>/dev/null; then is=1; else is=; fi
         [ "$runs" = "$is" ] || if [ -n "$runs" ]; then on+=("obu@$name.service"); else off+=("obu@$name.service"); fi
